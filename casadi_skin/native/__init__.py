@@ -11,7 +11,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | collocation.c | collocation equations, their factors, maps over intervals | `zero.discretisation`, `solve.bordered` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
-| program.c | expressions, operations that are alike together | CasADi |
+| program.c, places.c | expressions, operations that are alike together, or at many places | CasADi |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | multipliers.c | maps over the intervals of collocation, products of them | `stability.full_period`, `closed_maps` |
@@ -55,6 +55,7 @@ FUNCTIONS = {
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",
+    "at_places": "a",
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",

@@ -336,19 +336,25 @@ static inline double scale_of(double x)
 
 static inline void grow(double *most, double x) { *most = x > *most ? x : *most; }
 
-/* The largest entries of the rows of an interval's block times the sizes of the unknowns, into `most`. */
-static void largest_terms(const layout *l, int64_t k, const double *block, const double *sizes, double *most)
+/* The largest entries of the rows of an interval's block times units of the unknowns, into `by_units`, and times their
+   sizes, into `by_sizes` if there are any. */
+static void largest_terms(const layout *l, int64_t k, const double *block, const double *units, const double *sizes,
+                          double *restrict by_units, double *restrict by_sizes)
 {
     const int64_t n = l->n, rows = n * l->R, height = l->heights[0];
-    const double *of_parts[4] = {sizes + k * rows + n, sizes + k * rows, sizes + (k + 1) * rows,
-                                 sizes + l->K * rows + n}; /* in the order of the columns */
+    const int64_t starts[4] = {k * rows + n, k * rows, (k + 1) * rows, l->K * rows + n}; /* in the columns' order */
     const int64_t counts[4] = {rows - n, n, n, l->m};
-    memset(most, 0, (size_t)height * sizeof(double));
+    memset(by_units, 0, (size_t)height * sizeof(double));
+    memset(by_sizes, 0, (size_t)height * sizeof(double));
     for (int part = 0; part < 4; part++)
-        for (int64_t c = 0; c < counts[part]; c++, block += height)
+        for (int64_t c = starts[part]; c < starts[part] + counts[part]; c++, block += height) {
+            const double unit = units[c], size = sizes ? sizes[c] : 0.0;
             for (int64_t i = 0; i < height; i += EIGHT)
-                for (int64_t j = i; j < i + EIGHT; j++)
-                    grow(most + j, fabs(block[j]) * of_parts[part][c]);
+                for (int64_t j = i; j < i + EIGHT; j++) {
+                    grow(by_units + j, fabs(block[j]) * unit);
+                    grow(by_sizes + j, fabs(block[j]) * size);
+                }
+        }
 }
 
 static void scale_rows(int64_t height, int64_t width, double *block, const double *scales)
@@ -452,7 +458,7 @@ static double factors_of(const layout *l, factors f, const double *nonzeros, con
     const int64_t *height = l->heights, *width = l->widths, bottom = K * rows, last = 2 * n + m;
     const int64_t own = n + l->conditions; /* of the last block: rows that are no long ones */
     double *units = f.units, *end_rows = f.scales + bottom, *scalars = f.longs + (K + 1) * n * longs;
-    double *most = f.room, *scales = most + height[0];
+    double *most = f.room, *by_sizes = most + height[0], *scales = by_sizes + height[0];
     int64_t odd = (n * inner * K + n * (K - 1)) % 2; /* of the orders of equations and of unknowns */
     fill(l, f, nonzeros, row);
     balance(l, f, units);
@@ -464,15 +470,13 @@ static double factors_of(const layout *l, factors f, const double *nonzeros, con
     for (int64_t k = 0; k < K; k++) {
         double *block = f.blocks + k * height[0] * width[0], *start = block + inner * height[0];
         double *end = start + n * height[0], *by_scalars = end + n * height[0];
-        if (sizes) {
-            largest_terms(l, k, block, sizes, most);
-            memcpy(terms + k * rows, most, (size_t)rows * sizeof(double));
-            for (int64_t i = 0; i < longs; i++)
-                grow(terms + bottom + l->conditions + i, most[rows + i]);
-        }
-        largest_terms(l, k, block, units, most);
+        largest_terms(l, k, block, units, sizes, most, by_sizes);
         for (int64_t i = 0; i < longs; i++)
             grow(end_rows + l->conditions + i, most[rows + i]);
+        if (sizes)
+            memcpy(terms + k * rows, by_sizes, (size_t)rows * sizeof(double));
+        for (int64_t i = 0; sizes && i < longs; i++)
+            grow(terms + bottom + l->conditions + i, by_sizes[rows + i]);
         for (int64_t i = 0; i < rows; i++)
             scales[i] = scale_of(most[i]);
         scale_rows(height[0], width[0], block, scales);

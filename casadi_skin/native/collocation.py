@@ -49,6 +49,7 @@ class CollocationKernel:
         probe: Array,
     ) -> None:
         n, K, R, m = sizes
+        self._kernels = kernels()
         (rows, columns), inner, longs, last = pattern, n * (R - 1), counts[1] + 1, 2 * n + m
         heights = [-(-height // LANES) * LANES for height in (R * n + longs, 2 * n + longs, last)]
         widths = inner + last, n + last, last
@@ -88,18 +89,18 @@ class CollocationKernel:
         """
         memory, sign, x = _memory(self._room), np.empty(1), np.empty((4, self._size))
         data = nonzeros, row, sizes, least, memory, sign, x, x[3]
-        if kernels()["collocation_factors"](self.layout, *data):
+        if self._kernels["collocation_factors"](self.layout, *data):
             give_back(memory)
             return None
         return memory, float(sign[0]), x[0]
 
     def solve(self, memory: Array, x: Array) -> None:
         """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
-        kernels()["collocation_solve"](self.layout, memory, len(x), x)
+        self._kernels["collocation_solve"](self.layout, memory, len(x), x)
 
     def maps(self, memory: Array) -> Array:
         """Maps from x_k to x_(k+1) of the linearised equations with scalars held, (K, n, n), from the factors."""
         found = np.empty((self._K, self._n, self._n))
-        if kernels()["collocation_maps"](self.layout, memory, found):
+        if self._kernels["collocation_maps"](self.layout, memory, found):
             raise np.linalg.LinAlgError("Singular matrix")
         return found

@@ -20,23 +20,24 @@ enum { REGISTER = 2 };
 #endif
 #define KERNEL(name) __attribute__((visibility("default"))) int NAMED(name) /* returns 0, or 1 where it fails */
 
-/* The largest modulus, NaN where one of the numbers is. */
+/* The largest modulus, NaN where one of the numbers is none or not finite. */
 static inline double largest(const double *x, int64_t count)
 {
-    double most[8] = {0.0}; /* independent of one another, so that they go together */
-    int64_t unknown = 0;
+    double most[8] = {0.0}, none[8] = {0.0}; /* independent of one another, so that they go together */
     for (; count % 8; count--) {
         most[0] = fabs(x[count - 1]) > most[0] ? fabs(x[count - 1]) : most[0];
-        unknown |= x[count - 1] != x[count - 1];
+        none[0] += x[count - 1] * 0.0;
     }
     for (int64_t i = 0; i < count; i += 8)
         for (int64_t k = 0; k < 8; k++) {
             most[k] = fabs(x[i + k]) > most[k] ? fabs(x[i + k]) : most[k];
-            unknown |= x[i + k] != x[i + k];
+            none[k] += x[i + k] * 0.0;
         }
-    for (int64_t k = 1; k < 8; k++)
+    for (int64_t k = 1; k < 8; k++) {
         most[0] = most[k] > most[0] ? most[k] : most[0];
-    return unknown ? NAN : most[0];
+        none[0] += none[k];
+    }
+    return most[0] + none[0];
 }
 
 /* Terms coefficient * p^power * product of `degree` states, each added to a place of its own, a row or a non-zero. */

@@ -339,7 +339,7 @@ def _vectors(model: OdeModel, places: int) -> tuple[Buffers, int]:
     moved = [model.full_rhs, *directions(model).values()]
     slopes = [ca.gradient(quantity, model.full_state) for quantity in quantities(model).values()]
     function = model.function("trivial", *(ca.densify(e) for e in (*moved, *slopes)))
-    return Buffers(function.map(places), places), len(moved)
+    return Buffers(function, places), len(moved)
 
 
 MACHINE_EPSILON = float(np.finfo(float).eps)

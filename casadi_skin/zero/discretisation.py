@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -231,11 +231,11 @@ class Discretisation:
         self._m, self.table, self.formulation = int(formulation.scalars.numel()), table, formulation
         self._states = self._n * (intervals * self._R + 1)
         places = intervals * self._d + 1  # the stages, or the check points
-        self._field = Buffers(formulation.field_function.map(places), places)
+        self._field = Buffers(formulation.field_function, places)
         self._conditions = formulation.condition_buffers
         self._integrals = formulation.integrals
         if self._integrals:
-            self._integrands = Buffers(formulation.integrand_function.map(places), places)
+            self._integrands = Buffers(formulation.integrand_function, places)
         self._counts = counts = int(formulation.conditions.numel()), formulation.integrals
         sizes = self._n, intervals, table.stages, self._R, self._m
         large = places * self._R * len(formulation.patterns[0][0]) > LARGE_NONZEROS
@@ -243,16 +243,17 @@ class Discretisation:
         self.structure: Structure = structure(*sizes, counts, *formulation.patterns)
         self.rows, self.columns = self.structure.rows, self.structure.columns
         self._stage, self._start = self.structure.stage, self.structure.start
-        self._compiled = self._layout() if kernels() else None
+        self._compiled = self._assembly() if kernels() else None
 
-    def _layout(self) -> Compiled:
-        """Of the compiled kernel that assembles the equations."""
+    def _assembly(self) -> Callable[..., object]:
+        """The compiled kernel that assembles the equations: of z, lengths, the residual and the non-zeros."""
         of, (condition, *by_ends) = self.structure, self._conditions.results
         numbers = [self._n, self._K, self._R, self._d, self._m, len(self.formulation.patterns[0][0]), *self._counts]
         integrals = self._integrands.results if self._integrals else 3 * [np.zeros(0)]
         arrays = [np.ascontiguousarray(self.table.extended), of.differences, of.stiff, of.rest, *self._field.results]
         sizes = [of.rows.size, *(part.size for part in by_ends)]
-        return Compiled(EQUATIONS, *numbers, *sizes, *arrays, condition, *by_ends, *integrals)
+        layout = Compiled(EQUATIONS, *numbers, *sizes, *arrays, condition, *by_ends, *integrals)
+        return partial(kernels()["collocation_equations"], layout)
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.
@@ -306,7 +307,7 @@ class Discretisation:
             if self._integrals:
                 self._integrands(*arguments)
             found = np.empty(self._states - n + sum(self._counts)), np.empty(self.rows.size)
-            kernels()["collocation_equations"](self._compiled, np.ascontiguousarray(z), numbers, *found)
+            self._compiled(np.ascontiguousarray(z), numbers, *found)
             return found
         increments = weights @ field.reshape(K, d, n)
         ends = values[1:].reshape(K, R, n) - values[self._start][:, None, :]

@@ -574,7 +574,7 @@ class ModelCoordinates(Coordinates):
             linear = ca.SX(ca.DM(self.modes.stiffness)) @ state
             rest = scaled.rhs + linear if self._parts is None else self._nonlinear_parts(state, p)
             function = ca.Function("N", [state, p], [ca.densify(rest)])
-            self._mapped[len(q)] = Buffers(function.map(len(q)), len(q))
+            self._mapped[len(q)] = Buffers(function, len(q))
         return np.asarray(self._mapped[len(q)](q, np.array(parameter))[0].reshape(q.shape))
 
     @cached_property

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native.places import at_places
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -63,14 +64,18 @@ def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, value
 class Buffers:
     """Calls of a compiled function without conversions: arguments and results live in arrays given to it once.
 
-    Of a function that is mapped to `count` places every argument has a row for each, or one for all of them. The arrays
-    of the `results` are the same for all calls.
+    At several places, `count` of them, every argument has a row for each, or one for all of them, and results follow
+    one another. The arrays of the `results` are the same for all calls.
     """
 
     def __init__(self, function: ca.Function, count: int = 1) -> None:
-        self._arguments = [np.zeros((count, function.nnz_in(i) // count)) for i in range(function.n_in())]
-        self.results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        self._buffer, self._trigger = function.buffer()
+        self._arguments = [np.zeros((count, function.nnz_in(i))) for i in range(function.n_in())]
+        self.results = [np.zeros(count * function.nnz_out(i)) for i in range(function.n_out())]
+        by_lists = at_places(function, self._arguments, self.results, count) if count > 1 else None
+        if by_lists is not None:
+            self._trigger = by_lists
+            return
+        self._buffer, self._trigger = (function.map(count) if count > 1 else function).buffer()
         for i, argument in enumerate(self._arguments):
             self._buffer.set_arg(i, argument.data)
         for i, result in enumerate(self.results):

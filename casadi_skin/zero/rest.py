@@ -533,4 +533,4 @@ class AlgebraicProblem(Undiscretised):
     @cached_property
     def _several(self) -> Buffers:
         """The equations at several states at once."""
-        return Buffers(self.compiled.map(TOGETHER), TOGETHER)
+        return Buffers(self.compiled, TOGETHER)

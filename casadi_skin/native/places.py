@@ -1,0 +1,54 @@
+"""Functions at many places by the compiled kernel, each operation on a list of numbers: places.c, program.c."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.operations import read
+from casadi_skin.native import KINDS, PROGRAM, Array, Indices, Structure, address, kernels
+
+PLACES = "iiii" + "aaaaa"
+TOGETHER = 32  # places whose numbers go through all operations together: of a hundred operations they stay in a cache
+
+
+@lru_cache(maxsize=64)
+def _listed(function: ca.Function) -> tuple[Indices, Indices, Array] | None:
+    """Operations on lists, where the results are, and first values; None where an operation is not among KINDS."""
+    if not function.is_a("SXFunction"):
+        return None
+    program, numbers = read(function)
+    first, values = sum(program.inputs), np.zeros((sum(program.inputs) + len(program.operations), TOGETHER))
+    results = [entry for entries in program.results for entry in entries if entry is not None]
+    if any(code not in KINDS for code, *_ in program.operations):
+        return None
+    lists, following = list[tuple[int, ...]](), iter(numbers)
+    for k, (code, *places) in enumerate(program.operations, start=first):
+        if code == ca.OP_CONST:
+            values[k] = next(following)
+        else:
+            at, one, other = (TOGETHER * place for place in (k, places[0], places[-1]))
+            lists.append((KINDS[code], TOGETHER, at, one, 1, other, 1))
+    return np.array(lists, dtype=np.int64).reshape(-1, 7), TOGETHER * np.array(results, dtype=np.int64), values
+
+
+def at_places(
+    function: ca.Function, arguments: Sequence[Array], results: Sequence[Array], count: int
+) -> Callable[[], object] | None:
+    """What evaluates the function at `count` places; None where there is no kernel, or it is not made of operations.
+
+    Arguments and results are arrays that it reads and writes, shape (count, entries) each.
+    """
+    listed = _listed(function) if kernels() else None
+    if listed is None:
+        return None
+    sizes = [np.array([array.size // count for array in arrays], dtype=np.int64) for arrays in (arguments, results)]
+    if listed[1].size != np.sum(sizes[1]):
+        return None
+    addresses = [np.array([address(array) for array in arrays], dtype=np.int64) for arrays in (arguments, results)]
+    program = Structure(PROGRAM, 0, 0, len(listed[0]), *listed)
+    layout = Structure(PLACES, count, TOGETHER, len(arguments), len(results), program, *sizes, *addresses)
+    return partial(kernels()["at_places"], layout)
