@@ -14,9 +14,9 @@ import numpy as np
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.follow.period_limit import joined_words, unbounded
 from casadi_skin.follow.rest_space import EquilibriumSpace
-from casadi_skin.follow.search import MonitorSearch
+from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, MonitorSearch, beside_on_tangent
 from casadi_skin.follow.solution import Orbit, Solution
-from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace
+from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace, of_last_points
 from casadi_skin.follow.special_points import Located, ending, fold_between, locate_rest, special_orbit, turning
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import check_name
@@ -455,6 +455,11 @@ class BoundarySpace(ParameterSpace):
     def multipliers_alone(self, point: Point) -> Floquet:
         """Multipliers from the mesh of a point alone, without their errors."""
         return self._floquet(point, "collocation", with_errors=False)
+
+    @of_last_points
+    def multipliers_ahead(self, point: Point) -> Floquet:
+        """The same one step along its tangent: stretches on both sides of a point ask for its rates."""
+        return self.multipliers_alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))
 
     def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:
         better = self._better(point) if with_errors else None

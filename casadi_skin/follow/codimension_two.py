@@ -347,7 +347,7 @@ class OrbitCurveSearch(CurveSearch):
         super().__init__(space, ORBIT_CURVES, before, after)
         self.has_coefficient, self.meeting_distance = space.stability_included, MEETING_DISTANCE
         ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.has_coefficient else []
-        self.sampler = ExponentSampler(space.multipliers_alone, *ends)
+        self.sampler = ExponentSampler(space, *ends)
 
     def symmetric_ratio(self, point: Point) -> float:
         return max(SYMMETRIC_TERM_RATIO, 100.0 * point.error.profile)

@@ -32,7 +32,7 @@ from casadi_skin.follow.special_points import special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import FULL_TURN
+from casadi_skin.stability.result import FULL_TURN, Exponents
 from casadi_skin.zero.kinds import CROSSING_KINDS, KREIN, TORUS, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
@@ -402,7 +402,7 @@ class Ledger:
         self.space = space
         self.changes: list[StabilityChange] = []
         self.unresolved: list[Unresolved] = []
-        self._sampler = ExponentSampler(space.multipliers_alone)
+        self._ends: Sequence[tuple[Point, Exponents]] = ()  # of the last stretch
         self._count: int | None = None  # n_u behind the last solution; None where it is not known
 
     def between(self, before: Solution, after: Solution, leaving: bool = False) -> Iterator[Solution]:
@@ -431,8 +431,9 @@ class Ledger:
         if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, critical_angle(before.point.special, before))
         self._count = start
-        self._sampler = self._sampler.between(*((end.point, end.floquet().exponents) for end in (first, last)))
-        events, gaps = events_between(self.space, self._sampler)
+        past = self._ends[0] if self._ends and self._ends[-1][0] is first.point else None
+        self._ends = [(end.point, end.floquet().exponents) for end in (first, last)]
+        events, gaps = events_between(self.space, ExponentSampler(self.space, *self._ends, past=past))
         self.unresolved += gaps
         for event in events:
             self._passed(event.solution, self._count, self._count + event.jump, event.angle)

@@ -7,6 +7,7 @@ branch is a polynomial in a coordinate along it, z(sigma) = sum_k c_k sigma^k wi
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -198,6 +199,7 @@ TURNED_TANGENT = (
 BESIDE_TARGET_REACH = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
 
+KEPT_STRETCHES = 4  # whose starts are kept in the unknowns of their ends
 STACKED_UNKNOWNS = 1000  # unknowns up to which arrays over several states stay in the cache of a core
 
 
@@ -223,12 +225,28 @@ def newton_steps(problem: Problem, z: Array, defects: Array, rows: Array) -> Ste
     return Steps(newton, along, response, orientation)
 
 
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """The start of a stretch in the unknowns of its end: z, tangent and the row, the metric times this, of sigma."""
+
+    z: Array
+    tangent: Array
+    row: Array
+    end: Point
+
+    @cached_property
+    def curve(self) -> LocalCurve:
+        """The local cubic between both."""
+        return LocalCurve.through(self.z, self.tangent, self.end.z, self.end.tangent, self.row)
+
+
 class PointSolver:
     """Makes points of one branch on a levels of resolutions, to the tolerance of the settings."""
 
     def __init__(self, levels: Levels, settings: ContinuationSettings) -> None:
         self.levels, self.settings = levels, settings
         self.failure = ""  # why the last correction came to nothing, in words
+        self._joined = deque[tuple[Point, Point, Joined]](maxlen=KEPT_STRETCHES)
 
     # Geometry -------------------------------------------------------------------------------------------------------
 
@@ -487,13 +505,21 @@ class PointSolver:
         """The point at a target that `point` meets but for round-off; None where none is found."""
         return self._exactly(point.problem, LocalCurve.line(point.z, point.tangent), 0.0, target, BESIDE_TARGET_REACH)
 
-    def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
-        """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
+    def joined(self, current: Point, following: Point) -> Joined:
+        """One point as it is joined to the next, computed once for each of the last few stretches."""
+        for first, last, found in self._joined:
+            if first is current and last is following:
+                return found
         problem = following.problem
         z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
-        row = self.metric(problem, z) * t
-        curve = LocalCurve.through(z, t, following.z, following.tangent, row)
-        return curve, float(row @ (following.z - z))
+        found = Joined(z, t, self.metric(problem, z) * t, following)
+        self._joined.append((current, following, found))
+        return found
+
+    def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
+        """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
+        curve = self.joined(current, following).curve
+        return curve, curve.length
 
     def along(self, current: Point, following: Point, fraction: float) -> Point | None:
         """A corrected point at a fraction of the way between two points of the branch, or None."""

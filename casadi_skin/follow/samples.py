@@ -247,11 +247,12 @@ class SampledStretch:
 
     def keeps_signs(self, part: int) -> bool:
         """Whether no quantity vanishes on the part behind a sample, within bounds that need no sample on it."""
-        g, _ = self.quantities
-        cubics, _ = self._halves
-        bound = PART_ERROR_BOUND * self._missed + PART_ERROR_MARGIN * np.ptp(cubics.values[part], axis=0)
-        sign, t = _sign(g[part]), cubics.places[part]
-        clear = np.all(sign * cubics.values[part] > bound * 16.0 * (t * (1.0 - t)) ** 2, axis=0)
+        g, d = self.quantities
+        ends, length = slice(part, part + 2), self.sigma[part + 1] - self.sigma[part]
+        t, values, _ = _looked_at(g[ends], d[ends] * length)
+        bound = PART_ERROR_BOUND * self._missed + PART_ERROR_MARGIN * np.ptp(values, axis=0)
+        sign = _sign(g[part])
+        clear = np.all(sign * values > bound * 16.0 * (t * (1.0 - t)) ** 2, axis=0)
         return bool(np.all(clear & (sign == _sign(g[part + 1])) | np.all(g == 0.0, axis=0)))
 
     @property

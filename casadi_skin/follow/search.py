@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.samples import CERTAIN_SIGN_NOISE, SAMPLE_FRACTION, STILL_RATE, Sample, SampledStretch
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import Exponents, Floquet, turned
+from casadi_skin.stability.result import Exponents, turned
 from casadi_skin.zero.kinds import STABILITY, Unresolved
 from casadi_skin.zero.problem import EPSILON, Array, Indices
 from casadi_skin.zero.settings import Point
@@ -63,12 +63,10 @@ class BranchStretch:
     """
 
     def __init__(self, solver: PointSolver, before: Point, after: Point) -> None:
-        self.solver, self.ends, problem = solver, (before, after), after.problem
-        z, tangent = (before.problem.prolong(v, problem) for v in (before.z, before.tangent))
-        self.first = replace(before, problem=problem, z=z, tangent=tangent, better=None)
-        self.last = after
-        self.row = self.metric(self.first) * tangent
-        self.length = float(self.row @ (after.z - z))
+        self.solver, self.ends, joined = solver, (before, after), solver.joined(before, after)
+        self.first = replace(before, problem=after.problem, z=joined.z, tangent=joined.tangent, better=None)
+        self.last, self.row = after, joined.row
+        self.length = float(self.row @ (after.z - joined.z))
 
     def metric(self, point: Point) -> Array:
         """Weights of the unknowns of a point."""
@@ -116,7 +114,8 @@ class Search(BranchStretch, ABC):
         own = self.own(point)
         here = self.values(own)
         leading = tuple(zip(here.tolist(), self.rates(own, here).tolist(), strict=True))
-        row, still = self.metric(point) * point.tangent, CERTAIN_SIGN_NOISE * self.noise(own)
+        row = self.row if point is self.first else self.metric(point) * point.tangent
+        still = CERTAIN_SIGN_NOISE * self.noise(own)
         return Sample(point, row, *self.exponents(own), leading=leading, turn=self.turn, still=still)
 
     def values(self, point: Point) -> Array:
@@ -125,6 +124,8 @@ class Search(BranchStretch, ABC):
 
     def rates(self, point: Point, here: Array) -> Array:
         """Their rates along the branch, by differences from those `here`."""
+        if not here.size:
+            return here
         ahead = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
         return np.asarray((self.values(ahead) - here) / TANGENT_DIFFERENCE_STEP)
 
@@ -310,28 +311,19 @@ TANGENT_DIFFERENCE_STEP = (
 
 
 class ExponentSampler:
-    """Samples at points of one branch, for one stretch between two of them, then for the next.
+    """Samples at points of one branch, for one stretch between two of them.
 
     Attributes:
-        ends: both ends of the stretch with their exponents: other points take the errors that are larger there.
-        past: the point before it, likewise; None where there is none.
+        space: of the points, with the multipliers at one and beside it on its tangent, without their errors: these take
+            a fraction of the time.
+        past: the point before the stretch with its exponents; None where none is known.
+        ends: both ends of it, likewise: other points take the errors that are larger there.
     """
 
-    def __init__(self, alone: Callable[[Point], Floquet], *ends: tuple[Point, Exponents]) -> None:
-        """`alone` computes the multipliers at a point without their errors, which takes a fraction of the time."""
-        self.alone, self.ends = alone, ends
-        self.past: tuple[Point, Exponents] | None = None
-        self._known = {id(point): (point, exponents) for point, exponents in ends}
-        self._ahead = dict[int, Exponents]()  # by the identity of points that are known
-
-    def between(self, *ends: tuple[Point, Exponents]) -> ExponentSampler:
-        """For another stretch, with what is known of its ends and, where it is the next one, of the point before."""
-        found = ExponentSampler(self.alone, *ends)
-        if self.ends and self.ends[-1][0] is ends[0][0]:
-            found.past = past = self.ends[0]
-            found._known[id(past[0])] = past
-        found._ahead = {place: ahead for place, ahead in self._ahead.items() if place in found._known}
-        return found
+    def __init__(self, space: Any, *ends: tuple[Point, Exponents], past: tuple[Point, Exponents] | None = None) -> None:
+        self.space, self.past, self.ends = space, past, ends
+        known = ends if past is None else (past, *ends)
+        self._known = {id(point): (point, exponents) for point, exponents in known}
 
     def here(self, point: Point) -> Exponents:
         """Exponents at a point."""
@@ -341,15 +333,12 @@ class ExponentSampler:
 
     def exponents(self, point: Point) -> tuple[Exponents, Exponents]:
         """The same, and those one step along its tangent in the same order."""
-        here = self.here(point)
-        if id(point) not in self._ahead:
-            ahead = self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)).exponents.values
-            self._ahead[id(point)] = Exponents(ahead[nearest_order(here.values, ahead)], here.noise)
-        return here, self._ahead[id(point)]
+        here, ahead = self.here(point), self.space.multipliers_ahead(point).exponents.values
+        return here, Exponents(ahead[nearest_order(here.values, ahead)], here.noise)
 
     def _alone(self, point: Point) -> Exponents:
         """Exponents with the errors of the nearest ones at the ends."""
-        values = self.alone(point).exponents.values
+        values = self.space.multipliers_alone(point).exponents.values
         noise = [end.noise[nearest_order(values, end.values)] for _, end in self.ends]
         return Exponents(values, np.max(noise, axis=0))
 

@@ -63,10 +63,13 @@ FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that i
 def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tuple[Point, Point]]:
     """The parts of a stretch on each of which the quantity that is followed turns back once, in order."""
     curve, length = point_solver.curve(before, after)
-    rates = curve.component(after.problem.parameter_index).slope(length * HALF_STRETCH_PLACES)[:, 0]
-    sizes = np.abs(rates)
-    still = np.max(sizes) <= STILL_RATE and max(abs(rate(before)), abs(rate(after))) <= STILL_RATE
-    if still or (np.all(rates * rates[0] > 0.0) and np.min(sizes) >= STEADY_RATE_RATIO * np.max(sizes)):
+    _, start, quadratic, cubic = curve.coefficients[:, after.problem.parameter_index]
+    rates = start + length * HALF_STRETCH_PLACES * (2.0 * quadratic + 3.0 * length * HALF_STRETCH_PLACES * cubic)
+    sizes, bent = np.abs(rates), 0.5 * abs(cubic) * length**2  # that, by how much their mean is off that of both ends
+    least, largest = np.min(sizes), np.max(sizes)
+    still = largest <= STILL_RATE and max(abs(rate(before)), abs(rate(after))) <= STILL_RATE
+    steady = least >= STEADY_RATE_RATIO * largest or bent <= HIDDEN_TURN_RATIO * least
+    if still or (steady and np.all(rates * rates[0] > 0.0)):
         return []
     if rate(before) == 0.0:
         before = point_solver.unrefined_along(before, after, BESIDE_STILL) or before

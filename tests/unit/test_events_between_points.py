@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +13,7 @@ import pytest
 
 from casadi_skin.follow.events import Event, _Free
 from casadi_skin.follow.samples import Crossing, SampledStretch
-from casadi_skin.follow.search import ExponentSampler
+from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, ExponentSampler, beside_on_tangent
 from casadi_skin.stability.result import Exponents
 from casadi_skin.zero.settings import ErrorEstimate, Point
 
@@ -34,6 +34,7 @@ class Line:
     growth: Growth
     sets: int = 0
     corrected: int = 0
+    rates: dict[int, Any] = field(default_factory=dict)
 
     def exponents(self, point: Point) -> Exponents:
         s = float(point.z[0])
@@ -43,8 +44,16 @@ class Line:
         self.sets += 1
         return SimpleNamespace(exponents=self.exponents(point))
 
+    def ahead(self, point: Point) -> Any:
+        if id(point) not in self.rates:
+            self.rates[id(point)] = point, self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))
+        return self.rates[id(point)][1]
+
     def metric(self, *_: Any) -> Any:
         return np.ones(1)
+
+    def joined(self, first: Point, *_: Any) -> Any:
+        return SimpleNamespace(z=first.z, tangent=first.tangent, row=np.ones(1))
 
     def unrefined_along(self, before: Point, after: Point, fraction: float) -> Point:
         self.corrected += 1
@@ -52,12 +61,12 @@ class Line:
 
     def found(self, places: Any) -> int:
         """The number of events between points at places, in order."""
-        points, space, found = [at(s) for s in places], SimpleNamespace(point_solver=self, parameter="s"), 0
-        space.value = lambda name, point: float(point.z[0])
-        sampler = ExponentSampler(self.alone)
-        for before, after in pairwise(points):
-            sampler = sampler.between((before, self.exponents(before)), (after, self.exponents(after)))
-            found += len(_Free(space, sampler).on_stretch())  # type: ignore[arg-type]
+        space: Any = SimpleNamespace(point_solver=self, multipliers_alone=self.alone, multipliers_ahead=self.ahead)
+        space.parameter, space.value = "s", lambda name, point: float(point.z[0])
+        known, found, past = [(point, self.exponents(point)) for point in map(at, places)], 0, None
+        for ends in pairwise(known):
+            found += len(_Free(space, ExponentSampler(space, *ends, past=past)).on_stretch())
+            past = ends[0]
         return found
 
 
