@@ -241,6 +241,7 @@ def _zeros(places: Array, corners: Array, near: float, apart: float) -> list[_Ze
 # Points of codimension two at which extended equations are singular, as where two null vectors meet: interpolated -----
 
 INTERPOLATION_NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(12) + 0.5) / 12)  # of a step
+LEAST_INTERPOLATED = 6  # of these places: with fewer the error is not seen
 SECOND_SINGULAR_RATIO = 1e-3  # of its usual size: a second singular value that is zero
 
 
@@ -262,13 +263,15 @@ def interpolated(
 ) -> tuple[float, Point] | None:
     """The point between two at which a test changes its sign, with its place; None where it does not.
 
-    Unknowns and test are interpolated from places around it.
+    Unknowns and test are interpolated from places around it, as far as they are found.
     """
     from scipy.interpolate import KroghInterpolator
     from scipy.optimize import brentq
 
     tried = [(float(f), solver.along(before, after, float(f))) for f in INTERPOLATION_NODES]
     around = [(f, point) for f, point in tried if point is not None]
+    if len(around) < LEAST_INTERPOLATED:
+        return None
     places, values = np.array([f for f, _ in around]), np.array([test(point) for _, point in around])
     roots = list[float]()
     for chosen in (slice(None), slice(1, -1)):  # fewer of them, for the error
