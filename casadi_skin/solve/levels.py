@@ -71,13 +71,13 @@ def estimated(
     finer, long_z = on_finer.problem, on_finer.z
     free, by_Omega = (np.array([which is one for which in held]) for one in (None, Scalar.OMEGA))
     Omega = np.array([problem.frequency(one) for one in z])
-    steps = _at_parameter(finer, long_z, on_finer.steps, along, free)
+    steps = at_parameter(finer, long_z, on_finer.steps, along, free)
     moves = by_Omega | (free & (along is not None) & (steps[:, finer.parameter_index] != 0.0))
     errors, floors = _step_errors(finer, long_z, steps, moves, on_finer.profiles), np.zeros(len(z))
     errors[0] = np.maximum(errors[0], problem.round_off * Omega)
     near = _largest(errors, Omega) < NEAR_ROUND_OFF
     if near.any():  # the estimate is at least the rounding error, of the residual and of the constants
-        noise = _at_parameter(finer, long_z, on_finer.response(), along, free)
+        noise = at_parameter(finer, long_z, on_finer.response(), along, free)
         floor = _step_errors(finer, long_z, noise, moves)
         floor[0], floor[1] = np.maximum(floor[0], problem.round_off * Omega), np.maximum(floor[1], problem.round_off)
         errors, floors = np.where(near, np.maximum(errors, floor), errors), np.where(near, _largest(floor, Omega), 0.0)
@@ -89,7 +89,7 @@ def estimated(
     return [(error, Refinement(finer, better)) for error, better in zip(found, long_z - steps, strict=True)]
 
 
-def _at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None, free: NDArray[np.bool_]) -> Array:
+def at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None, free: NDArray[np.bool_]) -> Array:
     """Steps brought back to the parameter along tangents where `free`, but for the neighbourhood of a fold."""
     if along is None:
         return steps

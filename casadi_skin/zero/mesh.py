@@ -48,11 +48,12 @@ def density(lengths: Array, leading: Array, degree: int, noise: float = 0.0) -> 
         return np.ones(1)
     scale = lengths**-degree
     jumps = np.max(np.abs(np.diff(leading * scale[:, None], axis=0)), axis=1)
-    jumps = np.maximum(jumps - noise * (scale[1:] + scale[:-1]), 0.0)
+    rounding = noise * (scale[1:] + scale[:-1])
+    if not np.any(jumps > rounding):
+        return np.ones(K)
+    jumps = np.where(jumps > 2.0 * rounding, jumps - rounding, rounding)  # noise does not draw intervals
     slopes = jumps / (0.5 * (lengths[1:] + lengths[:-1]))
     wanted = np.concatenate([slopes[:1], 0.5 * (slopes[1:] + slopes[:-1]), slopes[-1:]]) ** (1.0 / (degree + 1))
-    if not np.any(wanted):
-        return np.ones(K)
     return _slowly_varying(lengths, wanted)
 
 

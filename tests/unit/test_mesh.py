@@ -109,3 +109,11 @@ def test_a_graded_mesh_grows_from_both_ends(intervals: int) -> None:
     np.testing.assert_allclose(lengths, lengths[::-1], rtol=1e-6, atol=1e-15)
     outer = intervals // 3
     assert np.all(np.diff(lengths[1:outer]) > 0)
+
+
+def test_a_mesh_on_which_all_is_rounding_stays_as_it_is() -> None:
+    """Noise had drawn the intervals to where it is largest: they grew by a thousand elsewhere."""
+    lengths, degree = mesh.uniform(300), 6
+    leading = 1e-15 * np.random.default_rng(0).normal(size=(300, 2))
+    wanted = mesh.density(lengths, leading, degree, noise=1e-15)
+    assert mesh.imbalance(lengths, wanted) < 1.3

@@ -23,12 +23,35 @@ def van_der_pol() -> OdeModel:
     return OdeModel("van der pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
 
 
-def test_steps_go_by_what_the_prediction_misses() -> None:
-    """By the angle between tangents they were 21 points."""
+def test_steps_turn_further_where_layers_do() -> None:
+    """By the angle between tangents alone there were 76 points."""
     circle = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
-    branch = circle.follow("mu", 5.0)
+    branch = circle.follow("mu", 20.0)
     assert branch.end is End.REACHED
-    assert len(branch) <= 15
+    assert len(branch) <= 60
+
+
+@pytest.mark.slow
+def test_relaxation_oscillations_of_van_der_pol_are_followed_to_stiffness_one_million() -> None:
+    """The period by Dorodnitsyn's expansion (1947), whose next terms are of order log(mu)/mu."""
+    circle = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+    branch = circle.follow("mu", 1000.0)
+    assert branch.end is End.REACHED
+    assert len(branch) <= 550
+    expected = (3.0 - 2.0 * np.log(2.0)) * 1000.0 + 3.0 * 2.338107 * 1000.0 ** (-1.0 / 3.0)
+    np.testing.assert_allclose(branch.solutions[-1].period, expected, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_bursts_of_hindmarsh_and_rose_are_followed_through_their_canard() -> None:
+    """Where orbits near a saddle amplify rounding the mesh had been placed by it, and no level was fine enough."""
+    x, y, z, current = symbols("x y z I")
+    rates = ca.vertcat(y - x**3 + 3 * x**2 - z + current, 1 - 5 * x**2 - y, 0.006 * (4 * (x + 1.6) - z))
+    model = OdeModel("neuron", ca.vertcat(x, y, z), rates, current)
+    branch = from_hopf(find_equilibrium(model, [-1.5, -10.0, 0.0], parameters={"I": 0.0}).follow("I", 4.0), 0, "I", 2.1)
+    assert branch.end is End.REACHED
+    assert max(solution.error for solution in branch.solutions) < 1e-8
+    assert max(solution.point.problem.resolution for solution in branch.solutions) <= 450
 
 
 @pytest.mark.slow
