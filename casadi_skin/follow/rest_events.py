@@ -223,9 +223,15 @@ def counted(equations: SolutionSpace, places: Places) -> Counts | None:
             return None
         unknowns[k] = point.z
     places = replace(places, entries=problem.equations_at_all(unknowns)[1])
-    small = problem.statics.size <= SMALL_STATE_COUNT
-    seen = np.ones(sigma.size, dtype=bool) if small else places.unlike(*map(equations.leading, (before, after)))
-    least, most = _numbers(problem, places.entries[seen])
+    if problem.statics.size <= SMALL_STATE_COUNT:
+        seen = np.ones(sigma.size, dtype=bool)
+        least, most = _numbers(problem, places.entries)
+    else:
+        ends = [equations.leading(end) for end in (before, after)]
+        seen = places.unlike(*ends)
+        first, last = (np.array(end.numbers)[:, None] for end in ends)
+        inner = _numbers(problem, places.entries[seen][1:-1])
+        least, most = np.concatenate([first, np.array(inner), last], axis=1)
     return Counts(before, after, places.row, sigma[seen], least, most, unknowns[seen])
 
 
@@ -270,22 +276,28 @@ def _chord_steps(problem: AlgebraicProblem, row: Array, residuals: Array, entrie
 
 def _numbers(problem: AlgebraicProblem, entries: Array) -> tuple[Indices, Indices]:
     """Bounds of the numbers of eigenvalues with a positive real part."""
-    rounding, bounds = problem.statics.model.rounding, list[tuple[int, int]]()
+    n, rounding = problem.states, problem.statics.model.rounding
+    if not problem.statics.is_sparse:
+        return _dense_numbers(problem.filled(entries)[:, :n, :n], rounding)
+    bounds = list[tuple[int, int]]()
     for some in entries:
         matrix = problem.states_part(some)
         part = half_plane(problem, matrix)
-        if part is not None:
-            bounds.append(part.numbers(rounding))
-            continue
-        matrix = dense(matrix)
-        real = np.linalg.eigvals(matrix).real
-        small = max(SMALL_EIGENVALUE_RTOL * np.max(np.abs(real)), SMALL_ENTRY_RTOL * np.max(np.abs(matrix)))
-        errors: Array | float = 0.0
-        if np.min(np.abs(real)) <= small:
-            linear = BalancedMatrix(matrix, rounding)
-            real, errors = linear.eigensystem[0].real, linear.errors()
-        bounds.append((int(np.count_nonzero(real > errors)), int(np.count_nonzero(real > -errors))))
-    least, most = np.array(bounds).T
+        bounds += [part.numbers(rounding)] if part else zip(*_dense_numbers(dense(matrix)[None], rounding), strict=True)
+    least, most = np.array(bounds, dtype=int).reshape(-1, 2).T
+    return least, most
+
+
+def _dense_numbers(stack: Array, rounding: float) -> tuple[Indices, Indices]:
+    """The same of matrices (matrix, n, n)."""
+    real = np.linalg.eigvals(stack).real
+    least, most = np.sum(real > 0.0, axis=1), np.sum(real > 0.0, axis=1)
+    near = np.min(np.abs(real), axis=1) <= SMALL_EIGENVALUE_RTOL * np.max(np.abs(real), axis=1)
+    near |= np.max(np.abs(stack), axis=(1, 2)) * SMALL_ENTRY_RTOL > np.min(np.abs(real), axis=1)
+    for k in np.flatnonzero(near):
+        linear = BalancedMatrix(stack[k], rounding)
+        values, errors = linear.eigensystem[0].real, linear.errors()
+        least[k], most[k] = np.sum(values > errors), np.sum(values > -errors)
     return least, most
 
 

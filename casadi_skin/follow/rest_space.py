@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,7 @@ from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.augmented import Singularity, SingularRest, singular_rest
+from casadi_skin.zero.half_plane import HalfPlaneError
 from casadi_skin.zero.kinds import BRANCH_POINT, EQUILIBRIUM_CURVES, HOPF, Unresolved
 from casadi_skin.zero.linearised import LinearisedRest
 from casadi_skin.zero.problem import Array, Scalar, SingularError
@@ -206,10 +208,28 @@ class EquilibriumSpace(ParameterSpace):
     @of_last_points
     def spectrum(self, point: Point) -> Spectrum:
         """Eigenvalues at a point."""
+        z = point.z
+        return self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), self._off(point))
+
+    def _off(self, point: Point) -> Array:
+        """The estimated error of the state."""
         z, error = point.z, point.error.profile
         moved = self.sizes * np.maximum(np.abs(z[: self.statics.size]), SMALLEST_STATE)
-        moved *= error if np.isfinite(error) else 0.0
-        return self.statics.spectrum(point.problem.state(z), point.problem.parameters(z), moved)
+        return moved * (error if np.isfinite(error) else 0.0)
+
+    @of_last_points
+    def unstable_at(self, point: Point) -> int:
+        """The number of eigenvalues at a point with a positive real part, by more than estimated errors."""
+        part = self.leading(point).part if self.model.order == 1 and self.statics.is_sparse else None
+        with suppress(HalfPlaneError):
+            if part is not None and part.missing == 0:
+                x, p = point.problem.state(point.z), point.problem.parameters(point.z)
+                here, there = (self.statics.matrix(y, p) for y in (x, x + self._off(point)))
+                there.data -= here.data
+                off = np.abs(part.rates(self.statics.scaled(there, point.problem.scale)))
+                return int(np.count_nonzero(part.values.real > part.errors(self.model.rounding) + off))
+        found = self.spectrum(point)
+        return int(np.count_nonzero(found.values.real > found.errors))
 
     def energy(self, *_: object) -> Any:
         """Raises NoQuantityError, as `floquets` and `floquet_vectors`."""

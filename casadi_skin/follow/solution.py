@@ -338,12 +338,12 @@ class Equilibrium(Solution):
     @property
     def stable(self) -> bool:
         """Whether no eigenvalue has a positive real part, within estimated errors."""
-        return self.spectrum.stable
+        return self.unstable == 0
 
     @property
     def unstable(self) -> int:
         """Number of eigenvalues with a positive real part, by more than estimated errors."""
-        return int(np.sum(self.spectrum.values.real > self.spectrum.errors))
+        return int(self.space.unstable_at(self.point))
 
 
 # One periodic orbit of any model in the coordinates of the model, with its stability on demand ------------------------

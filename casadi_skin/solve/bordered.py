@@ -131,6 +131,9 @@ SINGULAR_GROWTH = 1e12  # growth of residuals, in units of both (`Problem.units_
 MOST_STATES = 30  # of collocation whose blocks are taken for dense; of rings, SuperLU takes 1.5 times as long at 30
 LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
 DENSE_UNKNOWNS = 24  # up to which dense factors take less time than sparse ones, measured
+MOST_ORDERED = (
+    200  # states: blocks between ends of intervals of more fill the factors, in another order 2 to 10 times less
+)
 ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
 
@@ -368,7 +371,9 @@ class BorderedSolver:
             if not self.problem.in_order:
                 return SparseFactors(splu(self._closed), self._places.order, None)
             self._closed.data *= self._scales
-            return SparseFactors(splu(self._closed, permc_spec="NATURAL"), self._places.order, self._scale)
+            many = isinstance(self.problem, CollocationEquations) and self.problem.formulation.states > MOST_ORDERED
+            factors = splu(self._closed, permc_spec="COLAMD" if many else "NATURAL")
+            return SparseFactors(factors, self._places.order, self._scale)
         except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
             raise SingularError(f"the Jacobian with its border cannot be factorised: {error}") from error
 

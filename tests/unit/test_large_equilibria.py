@@ -192,3 +192,15 @@ def test_of_a_symmetric_matrix_no_circle_is_empty_for_want_of_a_height(growth: f
     np.testing.assert_allclose(found.values, exact[: found.values.size], rtol=0, atol=1e-10)
     assert found.numbers(2.2e-16) == (np.count_nonzero(exact > 0.0),) * 2
     assert found.missing == 0
+
+
+def test_numbers_of_unstable_eigenvalues_are_those_of_all_of_them() -> None:
+    branch = branch_of_cells(60, to=1.2)
+    counts = [solution.unstable for solution in branch.solutions]
+    assert {0, 2, 4} <= set(counts)
+    for solution in branch.solutions[::6]:
+        whole = np.linalg.eigvals(
+            solution.space.statics.jacobian(solution.positions, list(solution.parameters.values()))
+        )
+        assert solution.unstable == np.count_nonzero(whole.real > 1e-9)
+        assert solution.stable == (solution.unstable == 0)
