@@ -268,8 +268,9 @@ READERS: Mapping[str, Callable[..., Any]] = {  # what each word begins, from a r
 
 # The journal of a run: results, appended to one file and flushed to disk at once --------------------------------------
 
-MARK, FORMAT = b"cskj", 5
-RECORD_HEADER = struct.Struct("<4sIII")  # mark, format, length of what follows, CRC-32 of these and of what follows
+MARK, FORMAT = b"cskj", 6
+# Mark, format, length of what follows, CRC-32 of the record before, or 0, and CRC-32 of these and of what follows.
+RECORD_HEADER = struct.Struct("<4sIIII")
 Record = TypeVar("Record")
 Data = bytes | mmap.mmap
 
@@ -288,7 +289,15 @@ class Journal(Generic[Record]):
         self, path: Path, decoder: msgspec.msgpack.Decoder[Record], each: Callable[[int, Record], None] | None = None
     ) -> None:
         self.path, self._encoder, self.records = path, msgspec.msgpack.Encoder(), list[Record]()
-        keep = each or (lambda _, record: self.records.append(record))
+        self._last = 0
+
+        def keep(place: int, record: Record) -> None:
+            self._last = checksum(data, place)
+            if each is None:
+                self.records.append(record)
+            else:
+                each(place, record)
+
         with mapped(path) as data:
             self.end, self.fault = scan(data, decoder, keep)
         self._file = os.fdopen(opened_in_place(path), "r+b", buffering=0)
@@ -303,7 +312,7 @@ class Journal(Generic[Record]):
     def append(self, record: msgspec.Struct) -> None:
         """Write one record and wait until it is on the disk; raises OSError, with the journal as it was."""
         payload = self._encoder.encode(record)
-        data = framed(payload)
+        data = framed(payload, self._last)
         self._file.seek(self.end)
         try:
             written = 0
@@ -313,16 +322,21 @@ class Journal(Generic[Record]):
         except OSError:
             self._file.truncate(self.end)
             raise
-        self.end += len(data)
+        self.end, self._last = self.end + len(data), checksum(data)
 
 
-def framed(payload: bytes) -> bytes:
-    """A record behind its header."""
-    return _header(payload) + payload
+def framed(payload: bytes, before: int = 0) -> bytes:
+    """A record behind its header, which follows one with the checksum `before`."""
+    return _header(payload, before) + payload
 
 
-def _header(payload: bytes) -> bytes:
-    fields = MARK, FORMAT, len(payload)
+def checksum(data: Data, place: int = 0) -> int:
+    """That of the record at a place."""
+    return int(RECORD_HEADER.unpack_from(data, place)[-1])
+
+
+def _header(payload: bytes, before: int) -> bytes:
+    fields = MARK, FORMAT, len(payload), before
     return RECORD_HEADER.pack(*fields, zlib.crc32(payload, zlib.crc32(RECORD_HEADER.pack(*fields, 0))))
 
 
@@ -350,24 +364,34 @@ def scan(
 ) -> tuple[int, str]:
     """Call `each` with place and record of every record from a place on, up to the first that is not whole.
 
-    Returns the place where these end, and the fault there; empty where the data end.
+    A record that does not follow the one before it ends them, too, before that one: which was changed is not known.
+    Returns the place where they end, and the fault there; empty where the data end.
     """
-    place = start
+    place, fault, held = start, "", list[tuple[int, Record]]()
     while place < len(data):
         try:
             record, length = record_at(data, place, decoder)
         except ValueError as error:
-            return place, f"{error} at byte {place}"
-        each(place, record)
-        place += length
-    return place, ""
+            fault = f"{error} at byte {place}"
+            break
+        before = checksum(data, held[0][0]) if held else 0
+        if (held or not start) and RECORD_HEADER.unpack_from(data, place)[-2] != before:
+            place = held.pop()[0] if held else place
+            fault = f"a record that is not the one before the next at byte {place}"
+            break
+        for one in held:
+            each(*one)
+        held, place = [(place, record)], place + length
+    for one in held:
+        each(*one)
+    return place, fault
 
 
 def record_at(data: Data, place: int, decoder: msgspec.msgpack.Decoder[Record]) -> tuple[Record, int]:
     """The record at a place and its length in bytes; raises ValueError, in words, where there is none."""
     if len(data) - place < RECORD_HEADER.size:
         raise ValueError("a record that is cut off")
-    mark, version, length, _ = RECORD_HEADER.unpack_from(data, place)
+    mark, version, length, before, _ = RECORD_HEADER.unpack_from(data, place)
     if mark != MARK:
         raise ValueError("no record of a journal")
     if version != FORMAT:
@@ -375,7 +399,7 @@ def record_at(data: Data, place: int, decoder: msgspec.msgpack.Decoder[Record]) 
     payload = data[place + RECORD_HEADER.size : place + RECORD_HEADER.size + length]
     if len(payload) < length:
         raise ValueError("a record that is cut off")
-    if data[place : place + RECORD_HEADER.size] != _header(payload):
+    if data[place : place + RECORD_HEADER.size] != _header(payload, before):
         raise ValueError("a damaged record")
     try:
         return decoder.decode(payload), RECORD_HEADER.size + length

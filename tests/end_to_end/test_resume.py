@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from apart import ended, killed
 from drawing import blank_pictures
+from journals import journal_of
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord, data_of, value_of
-from casadi_skin.results.store import FORMAT, MARK, RECORD_HEADER, Journal, framed, read_records
+from casadi_skin.results.store import FORMAT, MARK, RECORD_HEADER, Journal, read_records
 from casadi_skin.runs import first_solution
 from casadi_skin.runs import run as writing
 from casadi_skin.runs.program import main
@@ -88,7 +89,7 @@ def read(path: Path) -> tuple[list[Any], int, str]:
 
 def written(records: list[Any]) -> bytes:
     """A journal of records, with checksums that hold."""
-    return b"".join(framed(msgspec.msgpack.encode(record)) for record in records)
+    return journal_of(records)
 
 
 def write_model(folder: Path, scene: str, stiffness: float = 1.0) -> Path:
@@ -274,7 +275,7 @@ TAILS: dict[str, Callable[[bytes], bytes]] = {
     "zeros": lambda data: data[:-50] + bytes(4096),
     "zeros after it": lambda data: data + bytes(4096),
     "a bit": lambda data: data[:-20] + bytes([data[-20] ^ 4]) + data[-19:],
-    "another format": lambda data: data + RECORD_HEADER.pack(MARK, FORMAT + 1, 0, 0),
+    "another format": lambda data: data + RECORD_HEADER.pack(MARK, FORMAT + 1, 0, 0, 0),
     "another version": lambda data: data + written([{"type": "point", "z": 1}]),
     "the format before": lambda data: data + struct.pack("<I", 13) + b"half a record",
 }

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from apart import Ended
 from drawing import blank_pictures
+from journals import journal_of
 from maps import TINY, Now, files, write
 from scenes import chain, family
 
@@ -32,7 +33,7 @@ from casadi_skin.results.branch_records import (
     data_of,
     known_outcomes,
 )
-from casadi_skin.results.store import SavedResult, framed, read_records
+from casadi_skin.results.store import RECORD_HEADER, SavedResult, framed, read_records
 from casadi_skin.runs import further
 from casadi_skin.runs.directory import DirectoryError
 from casadi_skin.runs.first_solution import known_cycle
@@ -57,7 +58,7 @@ def records_in(path: Path, kind: Any) -> Records:
 
 
 def written(path: Path, records: Records) -> None:
-    path.write_bytes(b"".join(framed(msgspec.msgpack.encode(record)) for record in records))
+    path.write_bytes(journal_of(records))
 
 
 # Branches -----------------------------------------------------------------------------------------------------------
@@ -146,6 +147,32 @@ def test_a_run_whose_journal_was_edited_names_the_record_and_ends_as_if_it_had_n
     assert told.startswith(f"casadi-skin: {out / 'journal.msgpack'}: ")
     assert "record" in told
     assert told.count("\n") == 1
+
+
+def apart(data: bytes) -> list[tuple[int, bytes]]:
+    """The checksum before each record of a journal, and what follows its header."""
+    found, place = list[tuple[int, bytes]](), 0
+    while place < len(data):
+        _, _, length, before, _ = RECORD_HEADER.unpack_from(data, place)
+        end = place + RECORD_HEADER.size + length
+        found, place = [*found, (before, data[place + RECORD_HEADER.size : end])], end
+    return found
+
+
+def test_records_that_were_dropped_are_missed_where_the_others_are_numbered_anew(
+    whole: Path, tmp_path: Path, cli: Command
+) -> None:
+    """Who edits single records, and makes their own checksums anew, leaves a gap in the chain of checksums."""
+    out = tmp_path / "out"
+    shutil.copytree(whole / "kept", out)
+    journal = out / "journal.msgpack"
+    before = [before for before, _ in without(apart(journal.read_bytes()), 6, 14)]
+    kept = renumbered(without(records_in(journal, BranchRecord), 6, 14))
+    journal.write_bytes(b"".join(framed(msgspec.msgpack.encode(r), b) for r, b in zip(kept, before, strict=True)))
+    done = cli("run", whole / "scene.toml", "--out", out, "--resume")
+    assert (done.status, done.err.count("\n")) == (0, 1)
+    assert done.err.startswith(f"casadi-skin: {journal}: a record that is not the one before the next at byte ")
+    assert (out / "family.csv").read_bytes() == (whole / "out" / "family.csv").read_bytes()
 
 
 # What else a journal has ---------------------------------------------------------------------------------------------
@@ -276,6 +303,19 @@ def test_a_number_of_a_map_that_stands_out_is_computed_again_before_it_is_believ
     with pytest.raises(DirectoryError, match=rf"gamma = .*: Omega = {value!r}, computed again 1\."):
         engine().map(tmp_path, TINY, resume=True)
     assert journal.read_bytes() == before
+
+
+def test_a_cell_of_a_map_that_was_edited_within_its_range_is_computed_again(mapped: Path, tmp_path: Path) -> None:
+    shutil.copytree(mapped / "out", tmp_path / "out")
+    journal = tmp_path / "out" / "journal.msgpack"
+    parts = apart(journal.read_bytes())
+    records = records_in(journal, MapRecord)
+    place = [k for k, record in enumerate(records) if isinstance(record, TaskRecord)][2]
+    edited = with_value(records[place], "Omega", 1.025)
+    parts[place] = (parts[place][0], msgspec.msgpack.encode(edited))
+    journal.write_bytes(b"".join(framed(payload, before) for before, payload in parts))
+    assert engine().map(tmp_path, TINY, resume=True).complete
+    assert files(journal.parent) == files(mapped / "out")
 
 
 def test_a_map_that_was_not_edited_holds_where_cells_end_in_words_or_fail(tmp_path: Path) -> None:
