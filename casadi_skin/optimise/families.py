@@ -246,12 +246,14 @@ class ModelFamily:
             reversal=(1,) * n + (-1,) * n, half_period=(-1,) * (2 * n), normalisation=normalisation, checked=False,
         )  # fmt: skip
 
-    def members(self, values: Mapping[str, Any], amplitudes: Sequence[float], tolerance: float) -> list[Orbit] | None:
-        """The orbits at amplitudes; None where `at` is None. Raises ValueError and ArithmeticError."""
+    def members(
+        self, values: Mapping[str, Any], amplitudes: Sequence[float], options: Mapping[str, Any]
+    ) -> list[Orbit] | None:
+        """The orbits at amplitudes, None where `at` is None. Raises ValueError and ArithmeticError."""
         at, model = sorted(set(amplitudes)), self.at(values)
         if model is None:
             return None
-        branch = follow_family(model, self.mode, at[-1], at=at, tolerance=tolerance, **self.method)
+        branch = follow_family(model, self.mode, at[-1], at=at, **{**self.method, **options})
         return [branch.at(S=S) for S in amplitudes]
 
 

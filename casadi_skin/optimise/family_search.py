@@ -41,6 +41,7 @@ Quantity = str | Callable[..., Any]  # a name, or a function of Observables (of 
 
 FAINTEST_S = 1e-6  # S where no lower bound is given
 HARMONICS_OFFERED = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
+GUESS = {"tolerance": 1e-4, "corrector": "newton"}  # of orbits that a start is solved from
 UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs
 MOVED_OMEGA_RTOL = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
 
@@ -210,13 +211,16 @@ class FamilySearch:
     def columns(self) -> tuple[str, ...]:
         return ("S", "Omega", *self.family.columns)
 
-    def members(self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None) -> list[Orbit] | None:
+    def members(
+        self, free: Sequence[float] | Array, amplitudes: Sequence[float] | None = None, **options: Any
+    ) -> list[Orbit] | None:
         """The orbits of the family at these free numbers, see `ModelFamily.members`; raises ArithmeticError."""
         values = self.values(free)
         S = values.pop("S", None)
         wanted = self.amplitudes if S is None else (S,)
         try:
-            return self.family.members(values, wanted if amplitudes is None else amplitudes, self.tolerance)
+            options = {"tolerance": self.tolerance} | options
+            return self.family.members(values, wanted if amplitudes is None else amplitudes, options)
         except ValueError as error:  # parameters at which there is no such family
             raise ArithmeticError(str(error)) from None
 
@@ -238,7 +242,7 @@ class FamilySearch:
 
     def nlp_at(self, start: Start) -> tuple[FamilyNlp, Array]:
         nlp = family_nlp(self, self.harmonics)
-        return nlp, nlp.packed(start.free, self.members(start.free) or ())
+        return nlp, nlp.packed(start.free, self.members(start.free, **GUESS) or ())
 
     # Optima ---------------------------------------------------------------------------------------------------------
 
