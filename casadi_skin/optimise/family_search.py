@@ -41,7 +41,7 @@ Quantity = str | Callable[..., Any]  # a name, or a function of Observables (of 
 
 FAINTEST_S = 1e-6  # S where no lower bound is given
 HARMONICS_OFFERED = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
-GUESS = {"tolerance": 1e-4, "corrector": "newton"}  # of orbits that a start is solved from
+GUESS: Mapping[str, Any] = {"tolerance": 1e-4, "corrector": "newton"}  # of orbits that a start is solved from
 UNKNOWN_HARMONICS = 12  # where the first start has no orbit that shows how many it needs
 MOVED_OMEGA_RTOL = 1e-2  # relative change of Omega by more harmonics of what is an optimum on the coarse grid alone
 

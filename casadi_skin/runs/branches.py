@@ -148,12 +148,12 @@ class Branches:
 
                 yield from further_spaces(self.branches, table, self.request.tolerance, self.failures)
             return
-        branch = self._alone(first)
+        branch = self.alone(first)
         self.show("branch", branch.solutions, branch.space)
         self.branches.append(branch)
         self.seconds.append(0.0)
 
-    def _alone(self, solution: Solution) -> Branch:
+    def alone(self, solution: Solution) -> Branch:
         """A single orbit or solution as a branch of one point."""
         end, words = End.REACHED, ""
         if self._with_stability and not solution.space.stability_included:

@@ -34,10 +34,20 @@ from casadi_skin.runs.directory import (
     in_use,
     prepare,
 )
-from casadi_skin.runs.map_cell import LOST, OUTSIDE_FAULTS, Computer, Result, Row, check_quantities, compute
+from casadi_skin.runs.map_cell import (
+    LOST,
+    OUTSIDE_FAULTS,
+    WATCHED,
+    Computer,
+    Result,
+    Row,
+    asked,
+    check_quantities,
+    compute,
+)
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Task, needed, plain, scene_at
 from casadi_skin.runs.map_lines import boundaries
-from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, WATCHED, Map, compared
+from casadi_skin.runs.map_result import DONE, FAILED, MOST_ATTEMPTS, Map, compared
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import origin
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -262,7 +272,7 @@ class MapRun:
     @property
     def computer(self) -> Computer:
         """What computes tasks, in workers."""
-        return Computer(plain(self.scene), str(self.path.resolve()), self.table.growth)
+        return Computer(plain(asked(self.scene, self.grid)), str(self.path.resolve()), self.table.growth)
 
     def execute(self, progress: Progress) -> Map:
         """Compute the missing cells and write the results; see `run_map`."""
@@ -388,7 +398,7 @@ def _again(found: Map, batch: Cells, seen: NDArray[np.bool_]) -> Iterator[Task]:
     """
     done = np.flatnonzero(seen & (found.states == DONE) & (found.attempts == 1))
     places = found.grid.places(done)
-    for task in found.grid.tasks(batch):
+    for task in found.grid.tasks(batch, apart=True):
         cell = task.cells[0]
         if found.states[cell] == FAILED and found.attempts[cell] < MOST_ATTEMPTS:
             if done.size and not found.may_recover(cell):
@@ -474,10 +484,13 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     cells = grid.coarsest
     families = grid.families(cells)
     (middle,) = grid.tasks(cells[families == families[len(cells) // 2]])
-    tasks, computer = len(cells) // len(middle.cells), Computer(plain(scene), str(path.resolve()), table.growth)
+    tasks = len(cells) // len(middle.cells)
+    computer = Computer(plain(asked(scene, grid)), str(path.resolve()), table.growth)
     chosen = np.linspace(0, len(middle.cells) - 1, min(len(middle.cells), MEASURED_ORBITS)).astype(int).tolist()
     amplitudes = tuple(middle.amplitudes[i] for i in chosen if middle.amplitudes)
-    few = msgspec.structs.replace(middle, cells=tuple(middle.cells[i] for i in chosen), amplitudes=amplitudes)
+    values = tuple(middle.values[i] for i in chosen if middle.values)
+    some = tuple(middle.cells[i] for i in chosen)
+    few = msgspec.structs.replace(middle, cells=some, amplitudes=amplitudes, values=values)
     with watched(MEASURED_SECONDS):
         result = computer(few)
         if not result.kind and result.seconds < SHORT_CELL_SECONDS:

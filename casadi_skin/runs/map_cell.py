@@ -41,6 +41,7 @@ from casadi_skin.results.quantities import (
 )
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.branches import Branches
+from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.map_grid import Grid, Tables, Task, scene_at
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import mode_of
@@ -56,6 +57,7 @@ Named = Iterator[tuple[str, Any, str]]  # names, values and meanings of quantiti
 FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults; a computation reports the first itself
 OUTSIDE_FAULTS = (DIED, LATE, LOST)  # those that another run may not meet
 FAULTS = ("", FAILED, *OUTSIDE_FAULTS)
+WATCHED = ("stable", "end")  # quantities where whose changes a map is refined unless it names others
 TEXTS = ("end", "end_reason", "first_tongue", "regime")  # quantities that are words
 
 
@@ -122,6 +124,20 @@ def check_quantities(request: Request, grid: Grid) -> None:
                 check_known(f"[map] {key}", name, known)
     if table is not None and table.growth and "first_instability" not in known:
         raise SceneError("[map] growth: given without a quantity first_instability; accepted: beside a [family]")
+
+
+def asked(scene: Scene, grid: Grid) -> Scene:
+    """The scene without what no wanted quantity of a family needs: changes of stability, multipliers, proofs."""
+    table, put = scene.map, msgspec.structs.replace
+    if scene.family is None or scene.continuation is not None or table is None or table.quantities is None:
+        return scene
+    names = {FAMILY_SUFFIX.sub("", n) for n in (*table.quantities, *((table.watch or WATCHED) if grid.refined else ()))}
+    stability, accuracy = scene.stability, scene.accuracy
+    if stability is not None and not (table.boundary or names & {*STABILITY, *OF_ALL}):
+        stability = put(stability, events=False) if names & {q.name for q in FAMILY_STABILITY} else None
+    if not names & {quantity.name for quantity in FAMILY_PROOFS}:
+        accuracy = put(accuracy, certify=False)
+    return put(scene, stability=stability, accuracy=accuracy)
 
 
 def rows_of(
@@ -310,8 +326,27 @@ class Computer:
             problem, table = request.searched, scene.search
             result = search(problem, problem.starts(table.starts, table.seed), deflate=table.deflate)
             return [Row(_kept(_of_search(result), meanings), "" if result.found else result.reason)], meanings
+        if len(task.values) > 1:
+            return list(served(request, task.along, task.values, meanings)), meanings
         branches, fault = followed(request)
         return list(rows_of(branches, fault, task.amplitudes, self.growth, meanings)), meanings
+
+
+def served(request: Request, name: str, values: Sequence[float], meanings: dict[str, str]) -> Iterator[Row]:
+    """Rows of the solutions at values of a parameter, where the branch from that at the first of them passes first."""
+    first, alone = first_solution(request), Branches(request, Progress(quiet=True))
+    branch, found = first.follow(name, values[-1], at=values[1:], events=False), {values[0]: first}
+    for solution in branch.solutions:
+        if solution.point.requested:
+            found.setdefault(solution.parameters[name], solution)
+    for value in values:
+        if value in found:
+            (row,) = rows_of([alone.alone(found[value])], "", (), 0.0, meanings)
+            values_of = {key: number for key, number in row.values.items() if key not in request.parameters}
+            yield msgspec.structs.replace(row, values=values_of)
+        else:
+            words = f"the branch from {name} = {values[0]:g} has no solution there: {branch.reason}"
+            yield Row({}, words)
 
 
 def started_at(scene: Scene, task: Task) -> Scene:

@@ -223,6 +223,8 @@ class Task(msgspec.Struct, frozen=True):
         cells: flat numbers.
         settings: where values go in the scene, and the values.
         amplitudes: of the family's orbits, ascending, one a cell; empty where the map has no axis S.
+        along, values: parameter of the branch that serves the cells, and its values, one a cell; empty where each cell
+            starts anew.
         start, period: of a neighbour's solution, for a second start; empty for the scene's own.
         neighbour: its cell.
     """
@@ -230,6 +232,8 @@ class Task(msgspec.Struct, frozen=True):
     cells: tuple[int, ...]
     settings: tuple[tuple[tuple[str, ...], Any], ...]
     amplitudes: tuple[float, ...] = ()
+    along: str = ""
+    values: tuple[float, ...] = ()
     start: tuple[float, ...] = ()
     period: float = 0.0
     neighbour: int = -1
@@ -237,16 +241,27 @@ class Task(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Grid:
-    """The finest grid of a map, cells in the order of C with the last axis fastest."""
+    """The finest grid of a map, cells in the order of C with the last axis fastest.
+
+    One branch serves cells that differ along the axis named `along`, if any.
+    """
 
     axes: tuple[Axis, ...]
+    along: str | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> Grid:
         """The grid of a scene's [map]; raises SceneError where the scene refuses the end of an axis."""
         if scene.map is None:
             raise SceneError("[map]: missing; accepted: a scene with a [map]")
-        grid = cls(axes_of(scene))
+        grid = cls(axes_of(scene), scene.map.along)
+        alone = (scene.equilibrium is not None or scene.orbit is not None) and scene.continuation is None
+        ranges = [axis.name for axis in grid.axes if axis.numeric and axis.paths[0][:2] == ("model", "parameters")]
+        if grid.along is not None and not (alone and grid.along in ranges):
+            accepted = (
+                f"a range of a parameter ({', '.join(ranges) or 'none here'}), beside [equilibrium] or [orbit] alone"
+            )
+            raise refusal("[map] along", toml_repr(grid.along), accepted)
         grid._check(plain(scene))
         return grid
 
@@ -301,17 +316,23 @@ class Grid:
         """Which axis is S of a family; None where none is."""
         return next((i for i, axis in enumerate(self.axes) if axis.paths == (AMPLITUDE,)), None)
 
+    @cached_property
+    def together(self) -> int | None:
+        """Which axis has cells that are one task: S of a family, or that along which one branch serves them."""
+        return next((i for i, axis in enumerate(self.axes) if axis.name == self.along), self.amplitude)
+
     def families(self, cells: Cells) -> Cells:
-        """The first cell of the family of each cell: cells that differ by S alone are one task."""
-        if self.amplitude is None:
+        """The first cell of the task of each cell, whose cells differ along one axis alone."""
+        if self.together is None:
             return cells
         places = self.places(cells)
-        places[:, self.amplitude] = 0
+        places[:, self.together] = 0
         return np.asarray(np.ravel_multi_index(tuple(places.T), self.shape))
 
-    def tasks(self, cells: Cells) -> Iterator[Task]:
-        """Tasks that compute cells, in their order."""
-        if self.amplitude is None:
+    def tasks(self, cells: Cells, apart: bool = False) -> Iterator[Task]:
+        """Tasks that compute cells, in their order; `apart` those that one branch may serve."""
+        along = self.together
+        if along is None or (apart and self.along is not None):
             for cell in cells.tolist():
                 yield Task((cell,), self.settings(cell))
             return
@@ -319,7 +340,11 @@ class Grid:
         order = np.argsort(families, kind="stable")
         starts = np.flatnonzero(np.diff(families[order], prepend=-1))
         for group in np.split(cells[order], starts[1:]):
-            found = sorted((float(self.values(cell)[self.amplitude]), cell) for cell in group.tolist())
+            if self.along is not None:
+                values = tuple(float(self.values(cell)[along]) for cell in group.tolist())
+                yield Task(tuple(group.tolist()), self.settings(int(group[0])), along=self.along, values=values)
+                continue
+            found = sorted((float(self.values(cell)[along]), cell) for cell in group.tolist())
             yield Task(tuple(c for _, c in found), self.settings(found[0][1]), tuple(S for S, _ in found))
 
     def settings(self, cell: int) -> tuple[tuple[Path, Any], ...]:

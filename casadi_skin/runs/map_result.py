@@ -43,7 +43,7 @@ from casadi_skin.results.quantities import Cell
 from casadi_skin.results.store import Journal, mapped, record_at, scan
 from casadi_skin.results.words import Columns, Shown, listed, show
 from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
-from casadi_skin.runs.map_cell import FAMILY_SUFFIX, FAULTS, OUTSIDE_FAULTS, TEXTS, Result, Row, Value
+from casadi_skin.runs.map_cell import FAMILY_SUFFIX, FAULTS, OUTSIDE_FAULTS, TEXTS, WATCHED, Result, Row, Value
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Labels, Task, needed
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -97,7 +97,6 @@ CELLS_OF_ONE_SAMPLE, MOST_SAMPLES = 50, 8  # of so many cells one is computed ag
 SMALLEST = np.finfo(float).tiny
 REASON, STARTED_FROM = "reason", "started_from"
 OF_BOUNDARY = ("stable", "first_instability", "first_tongue")  # quantities that locate a boundary of stability
-WATCHED = ("stable", "end")  # quantities where whose changes a map is refined unless it names others
 NOT_DRAWN = ("points", "at_round_off", "residual", "profile_error", "S_error", "intervals")
 CHAIN_MEANINGS = {"sites": "number of sites", "N": "number of sites", "alpha": "on-site stiffness",
                   "gamma": "nonreciprocity", "g": "cubic on-site coefficient", "S": "total amplitude: sum of y_n^2 at "
@@ -263,7 +262,8 @@ class Map(WithVerbs):
         self._outside[cells] = record.kind in OUTSIDE_FAULTS
         for i, cell in enumerate(record.cells):
             row = Row({}, record.reason) if record.kind else record.rows[i]
-            self.states[cell] = FAILED if record.kind else ENDED if row.fault else DONE
+            failed = record.kind or (row.fault and not row.values)
+            self.states[cell] = FAILED if failed else ENDED if row.fault else DONE
             has_start = record.neighbour >= 0 and row.values
             start = {STARTED_FROM: self.grid.name(record.neighbour)} if has_start else {}
             self._put(cell, {**row.values, **start, REASON: row.fault})

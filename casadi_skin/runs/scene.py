@@ -552,6 +552,8 @@ class MapTable(Table, frozen=True):
             has)
         watch: Quantities where whose changes cells are refined; accepted: a list of names of quantities, or a table
             of lists of levels by name (left out: stable and end)
+        along: Parameter along which one branch serves all cells, from the solution at the first of them; accepted: a
+            range of a parameter of the model, beside [equilibrium] or [orbit] alone (left out: each cell starts anew)
         boundary: The boundary of stability is followed and drawn over the map
         growth: Growth over a period, log |multiplier|, from which on an instability is the first one; accepted: a
             finite number >= 0
@@ -561,6 +563,7 @@ class MapTable(Table, frozen=True):
     axes: dict[str, RangeTable | AxisList] = field(default_factory=dict)
     quantities: Names | None = None
     watch: Names | dict[str, tuple[Finite, ...]] | None = None
+    along: Text | None = None
     boundary: bool = False
     growth: Annotated[float, Meta(ge=0, le=1e300)] = 0.0
     cell_limit: Positive | None = None

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from maps import EQUILIBRIUM, TINY, Now, tasks, write
+from maps import EQUILIBRIUM, TINY, Now, files, tasks, write
 from matplotlib.collections import QuadMesh
 from outputs import drawn, read_rows
 from scipy.io import netcdf_file
@@ -20,7 +20,7 @@ from scipy.io import netcdf_file
 from casadi_skin import Chain, follow_family, read_map, run_map
 from casadi_skin.results.figures.map import COLOUR_MAP, MapAxis, Panel, map_figure
 from casadi_skin.runs.binding import bind
-from casadi_skin.runs.map_cell import FAMILY_SUFFIX, Computer, Result, Row, known_names
+from casadi_skin.runs.map_cell import FAMILY_SUFFIX, Computer, Result, Row, asked, known_names
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Grid, needed, plain, scene_at
 from casadi_skin.runs.map_lines import Entry, boundaries, checked, lowest
 from casadi_skin.runs.map_result import UNKNOWN as NOT_COMPUTED
@@ -46,6 +46,7 @@ REFUSED = {
     "cell_limit = 0.0\ngamma = [0.1]": "[map] cell_limit: given 0.0; accepted: a finite number > 0",
     'gamma = [0.1]\nquantities = ["Omga"]': "[map] quantities: given 'Omga'; did you mean Omega?",
     'gamma = [0.1]\nwatch = ["stabel"]': "[map] watch: given 'stabel'; did you mean stable?",
+    "along = 'gamma'\ngamma = { from = 0.1, to = 0.2, points = 3 }": '[map] along: given "gamma"; accepted: a range of',
     "gamma = [0.1]\nboundary = true": "[map] boundary: given without two ranges; accepted: beside two ranges",
     "gamma = [0.1]\n[map.axes]\ngamma = [0.2]": "[map] gamma: given again in its axes; accepted: each parameter once",
     "gamma = { from = 0.1, to = 0.2, points = 3, resolution = 1e-300 }": "[map]: given more than 10000000 cells at its",
@@ -334,6 +335,63 @@ good = OdeModel('logarithm', x, -ca.log(x - p), p, nominal=(0.0,))
     assert found.failures()[0][0] == "p = 2.0"
     with netcdf_file(tmp_path / "out" / "map.nc", mmap=False) as file:
         assert file.variables["started_from"].long_name == b"the cell whose solution the second start began at"
+
+
+ALONG = "[map]\nalong = 'p'\np = { from = 0.0, to = 2.0, points = 9 }\nq = [0.0, 0.1]\n"
+BISTABLE = """x, p, q = ca.SX.sym('x'), ca.SX.sym('p'), ca.SX.sym('q')
+good = OdeModel('fold', x, p - 1 + q + 3 * x - x**3, ca.vertcat(p, q), nominal=(0.0, 0.0))
+"""
+
+
+def test_one_branch_serves_a_row_and_cells_that_it_does_not_reach_start_anew(tmp_path: Path) -> None:
+    """x^3 - 3 x = p - 1 + q, the lowest of three: its branch turns at p = 3 - q, beyond the range."""
+    text = EQUILIBRIUM.replace("0.1", "-1.5") + ALONG
+    found = run_map(of_model(tmp_path / "all", text, BISTABLE), tmp_path / "out", pictures=False, quiet=True)
+    assert np.all(found.status == 1)
+    assert np.all(np.diff(found["x"], axis=0) > 0.0)
+    for (i, j), x in np.ndenumerate(found["x"]):
+        p, q = np.linspace(0.0, 2.0, 9)[i], (0.0, 0.1)[j]
+        assert x == pytest.approx(min(np.roots([1.0, 0.0, -3.0, 1.0 - p - q]).real), abs=1e-9)
+    assert "p" not in found.names
+    two = run_map(tmp_path / "all" / "scene.toml", tmp_path / "two", pictures=False, quiet=True, workers=2)
+    assert files(tmp_path / "out") == files(tmp_path / "two")
+    for part in (2, 1):
+        run_map(tmp_path / "all" / "scene.toml", tmp_path / "parts", pictures=False, quiet=True, part=(part, 2))
+    assert files(tmp_path / "out") == files(tmp_path / "parts")
+    assert two.complete
+
+
+def test_a_cell_that_the_branch_of_its_row_does_not_reach_is_tried_by_itself(tmp_path: Path) -> None:
+    """x = sqrt(1 - p) ends at p = 1; nothing rests beyond but what a start of its own finds, at x = -4."""
+    text = EQUILIBRIUM.replace("0.1", "1.0") + ALONG.replace("q = [0.0, 0.1]\n", "")
+    model = "x, p = ca.SX.sym('x'), ca.SX.sym('p')\n"
+    model += "good = OdeModel('isola', x, (1 - p - x**2) * (x + 4), p, nominal=(0.0,))\n"
+    found = run_map(of_model(tmp_path, text, model), tmp_path / "out", pictures=False, quiet=True)
+    reached = np.linspace(0.0, 2.0, 9) <= 1.0
+    assert found["x"][reached] == pytest.approx(np.sqrt(1.0 - np.linspace(0.0, 2.0, 9)[reached]), abs=1e-6)
+    assert np.all(found.status[~reached] != 0)
+    records = tasks(tmp_path / "out" / "journal.msgpack")
+    assert [len(record.cells) for record in records] == [9, *[1] * int(np.sum(~reached))]
+    assert found.complete
+
+
+def test_a_map_computes_what_its_quantities_need(tmp_path: Path) -> None:
+    """Neither multipliers nor changes of stability, unless a quantity that is kept has them: with the same numbers."""
+    text = BASE + "[stability]\n[map]\n" + AXES
+    for names, stability in (("Omega", (None, None)), ("stable", (True, False)), ("changes", (True, True))):
+        scene = parse_scene(text + f'quantities = ["{names}"]\n')
+        table = asked(scene, Grid.of(scene)).stability
+        assert (None if table is None else True, None if table is None else table.events) == stability
+    whole, scene = parse_scene(text), parse_scene(text + 'quantities = ["max_abs_multiplier", "stable", "Omega"]\n')
+    grid = Grid.of(scene)
+    (task, *_), path = list(grid.tasks(grid.coarsest)), str(write(tmp_path, text))
+    few, every = (Computer(plain(asked(one, grid)), path)(task) for one in (scene, whole))
+    for one, other in zip(few.rows, every.rows, strict=True):
+        assert "changes" not in one.values
+        assert {name: other.values[name] for name in scene.map.quantities} == {  # type: ignore[union-attr]
+            name: one.values[name]
+            for name in scene.map.quantities  # type: ignore[union-attr]
+        }
 
 
 @pytest.mark.slow
