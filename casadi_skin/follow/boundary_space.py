@@ -202,7 +202,9 @@ class BoundarySpace(ParameterSpace):
         return self.statement.free
 
     def _corrector(self, problem: Problem) -> Corrector:
-        """The corrector, for a hundredth of the tolerance where rounding allows it; every orbit is put to Ipopt.
+        """The corrector, for a hundredth of the tolerance where rounding allows it.
+
+        Solutions that do not meet Ipopt's own test are put to it.
 
         Special solutions are solved further: their null vectors, of which points of codimension two are made, are not.
         """
@@ -211,7 +213,7 @@ class BoundarySpace(ParameterSpace):
         name = self.method.corrector
         make = CORRECTORS[name]
         if name == "ipopt":
-            make = partial(ArbitratedCorrector, always=self.statement.always_confirmed, far=True)
+            make = partial(ArbitratedCorrector, always=False, far=True)
         return RoundedCorrector(make(problem, tolerance, MOST_IPOPT_ITERATIONS))
 
     @cached_property

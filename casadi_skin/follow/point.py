@@ -354,7 +354,7 @@ class PointSolver:
         """
         known = None if tangent is None else self._measured(problem, correction, tangent, held, measured)
         climbed = self._climbed(problem, correction, row, held, known)
-        if climbed is None or not confirm:
+        if climbed is None or not (confirm and self.levels.corrector(climbed.problem).confirms):
             return climbed
         (point,) = self.confirmed([(climbed, held)])
         if isinstance(point, SingularError):

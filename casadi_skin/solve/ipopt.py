@@ -310,6 +310,8 @@ class ArbitratedCorrector(Corrector):
             and where Ipopt finds none, as in stiff problems.
     """
 
+    confirms = True
+
     def __init__(
         self,
         problem: Problem,

@@ -64,6 +64,7 @@ class Corrector(ABC):
 
     problem: Problem
     together: int = 1  # number of solutions that it confirms at a time
+    confirms: bool = False  # whether its verdicts on solutions may be others than its own solutions
 
     def on(self, problem: Problem) -> Self:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
@@ -178,7 +179,7 @@ class RoundedCorrector(Corrector):
     """
 
     def __init__(self, inner: Corrector) -> None:
-        self.inner, self.problem = inner, inner.problem
+        self.inner, self.problem, self.confirms = inner, inner.problem, inner.confirms
 
     def on(self, problem: Problem) -> RoundedCorrector:
         return RoundedCorrector(self.inner.on(problem))

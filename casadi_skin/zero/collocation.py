@@ -44,6 +44,7 @@ class CollocationEquations(Problem):
     table: CollocationTable
     values: Array
     in_order = True
+    _placing: tuple[bytes, Array] | None = None
 
     def _discretise(
         self, formulation: Formulation, intervals: int, table: CollocationTable, values: Array = NO_VALUES
@@ -224,7 +225,13 @@ class CollocationEquations(Problem):
         return np.full(values.shape[1], float(np.max(np.abs(values))))
 
     def _density(self, z: Array) -> Array:
-        """Wanted density of intervals for the solution z, see `mesh.density`."""
+        """Wanted density of intervals for the solution z, see `mesh.density`; the last one is kept."""
+        at = z.tobytes() + self.constants.tobytes()
+        if self._placing is None or self._placing[0] != at:
+            self._placing = at, self._wanted(z)
+        return self._placing[1]
+
+    def _wanted(self, z: Array) -> Array:
         K, d, rows = self.resolution, self.degree, self.table.ends.size
         values = z[: self.states].reshape(self.columns, self.formulation.states)
         values = values / self._component_sizes(values)

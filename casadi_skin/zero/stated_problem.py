@@ -31,6 +31,11 @@ ZERO_SOLUTION_SIZE = 1e-12  # solutions smaller than this, found from zeros, are
 SMALLEST_COMPONENT_RATIO = 1e-6
 
 
+def _largest(values: Array) -> Array:
+    """The largest size of each column: over rows of a copy, at a fifth of the time."""
+    return np.asarray(np.maximum.reduce(np.abs(values.T.copy()), axis=1, initial=0.0))
+
+
 class BoundaryProblem(CollocationEquations):
     """Unknowns z = (states, free parameters, u), where u is held or followed.
 
@@ -117,8 +122,8 @@ class BoundaryProblem(CollocationEquations):
         return float(np.max(np.abs(move) / self._component_sizes(values)))
 
     def _component_sizes(self, values: Array) -> Array:
-        own = np.maximum(np.max(np.abs(values), axis=0), self.floors)
-        return np.asarray(np.where(self.floors > 0.0, own, np.maximum(own, SMALLEST_COMPONENT_RATIO * np.max(own))))
+        own = np.maximum(_largest(values), self.floors)
+        return np.where(self.floors > 0.0, own, np.maximum(own, SMALLEST_COMPONENT_RATIO * own.max()))
 
     def measure_by(self, z: Array) -> None:
         """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.
@@ -141,9 +146,10 @@ class BoundaryProblem(CollocationEquations):
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
         """Diagonal of the mean over the columns of |dx|^2 relative to the components' sizes, and of the scalars."""
-        weights = self.sizes(z, parameter_scale) ** -2.0
-        weights[: self.states] /= self.columns
-        return np.asarray(weights)
+        weights, values = np.empty(self.size), z[: self.states].reshape(self.columns, -1)
+        weights[: self.states].reshape(values.shape)[:] = self._component_sizes(values) ** -2.0 / self.columns
+        weights[self.states : -1], weights[-1] = self._scalar_sizes(z) ** -2.0, parameter_scale**-2.0
+        return weights
 
     def has_layers(self, z: Array) -> bool:
         values = z[: self.states].reshape(self.columns, -1)

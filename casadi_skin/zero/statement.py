@@ -72,7 +72,6 @@ class Statement(WithVerbs):
     bounds: Bounds = field(default_factory=dict)
     objective: Expression | None = None
     running: Expression | None = None
-    always_confirmed: ClassVar[bool] = True  # by a call of Ipopt, as every orbit is
     solve: ClassVar[Callable[..., Any]]
     """The solution near a guess, with an objective or bounds the optimum: `casadi_skin.optimise.boundary_nlp.solve`."""
 
@@ -174,12 +173,18 @@ class Statement(WithVerbs):
     def ends_at(self, parameters: Any) -> tuple[Any, Any]:
         """Start and end of the interval at parameters, numbers or expressions."""
 
-        def at(end: Any) -> Any:
-            if isinstance(end, ca.SX | ca.MX):
-                end = ca.Function("t", [self.model.parameters], [end])(parameters)
-            return end if isinstance(end, ca.SX | ca.MX) else float(end)
+        found = (end if isinstance(end, float) else end(parameters) for end in self._ends)
+        start, end = (end if isinstance(end, ca.SX | ca.MX) else float(end) for end in found)
+        return start, end
 
-        return at(self.interval[0]), at(self.interval[1])
+    @cached_property
+    def _ends(self) -> list[Any]:
+        """The ends as numbers, or as functions of the parameters."""
+        symbolic = (isinstance(end, ca.SX | ca.MX) for end in self.interval)
+        return [
+            ca.Function("t", [self.model.parameters], [end]) if given else float(end)
+            for end, given in zip(self.interval, symbolic, strict=True)
+        ]
 
     def along(self, name: str, expression: Expression) -> ca.Function:
         """Function (t, x, p) of an expression in these."""
@@ -264,7 +269,6 @@ class Statement(WithVerbs):
 
 class BoundaryValueProblem(Statement):
     __doc__ = Statement.__doc__
-    always_confirmed: ClassVar[bool] = False  # but where a solution does not meet Ipopt's own test
 
     def __repr__(self) -> str:
         start, end = (end if isinstance(end, int | float) else "a parameter" for end in self.interval)

@@ -147,6 +147,7 @@ def test_the_last_word_is_ipopts(monkeypatch: pytest.MonkeyPatch) -> None:
         assert corrector.correct(guess, row, 0.0).converged
     refuse = lambda self, z, *_: Correction(z + 1e-6, Status.INFEASIBLE, 3, "Ipopt: no")  # noqa: E731
     monkeypatch.setattr(IpoptCorrector, "correct", refuse)
+    monkeypatch.setattr(ArbitratedCorrector, "_is_optimal", lambda *_: False)  # or Ipopt is not asked
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, (1 - x**2) * y - x))
     with pytest.raises(BoundaryError, match="no point near the guess satisfies the equations"):
