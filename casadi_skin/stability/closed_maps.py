@@ -242,6 +242,27 @@ class Trivial:
             return None
         return np.flatnonzero(good), vectors / np.linalg.norm(vectors, axis=2, keepdims=True)
 
+    def carried(self, maps: Array, counts: Indices) -> Trivial:
+        """The same at the ends of so many parts of each interval, as maps over these carry the vectors.
+
+        Inside of intervals an orbit is less accurate than at their ends, and so are its velocities.
+        """
+        if not self.right.shape[1] + self.left.shape[1]:
+            return self
+        first = np.cumsum(counts) - counts
+        right, left = (np.repeat(vectors[:1], len(maps), axis=0) for vectors in (self.right, self.left))
+        right[first], left[first] = self.right[: first.size], self.left[: first.size]
+        right, left = (
+            np.concatenate(each) for each in ((right, self.right[first.size :]), (left, self.left[first.size :]))
+        )
+        for turn in range(1, np.max(counts)):
+            there = first[counts > turn] + turn
+            right[there] = right[there - 1] @ maps[there - 1].swapaxes(1, 2)
+        for turn in range(np.max(counts) - 1, 0, -1):
+            there = first[counts > turn] + turn
+            left[there] = left[there + 1] @ maps[there]
+        return replace(self, right=right, left=left)
+
 
 def no_trivial(n: int) -> Trivial:
     """Of a forced orbit."""
@@ -363,6 +384,13 @@ class Multipliers:
     size: float
     norm: float
     lost: bool = False
+
+    def but(self, others: Multipliers, chosen: NDArray[np.bool_]) -> Multipliers:
+        """These with some of the others taken from other maps."""
+        logs = np.where(chosen, others.others.logs, self.others.logs)
+        phases = np.where(chosen, others.others.phases, self.others.phases)
+        rounding = np.where(chosen, others.rounding, self.rounding)
+        return replace(self, others=Spectrum(logs, phases, self.others.extreme), rounding=rounding)
 
 
 def multipliers_along(

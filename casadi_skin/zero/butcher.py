@@ -71,11 +71,11 @@ class CollocationTable:
         return _defect_table(self)
 
     def beside(self, places: Array) -> Array:
-        """At places, weights of what is added at the inner check points, and nowhere at the support."""
+        """At places, weights of what is added at the inner check points, and nowhere at the start and the ends."""
         inner = self.defect.inner
         if not inner.size:
             return np.zeros((places.size, 0))
-        at_places, at_inner = (_node_polynomial(self.support, t) for t in (places, inner))
+        at_places, at_inner = (_node_polynomial(np.append(0.0, self.ends), t) for t in (places, inner))
         return np.asarray(at_places[:, None] * _polynomials(inner, places) / at_inner)
 
 
