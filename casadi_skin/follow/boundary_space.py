@@ -54,6 +54,7 @@ EXTREMUM_ZOOMS = 4
 BOUND_MET_RTOL = 1e-12  # of the size of a quantity: a bound that is as near is met
 
 
+@of_last_points
 def margins(space: BoundarySpace, point: Point) -> list[tuple[float, str]]:
     """How far a solution is from each finite bound over the whole interval, and which bound it is, in words.
 

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise, product
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -374,6 +374,9 @@ def nearest_order(first: ComplexArray, last: ComplexArray) -> Indices:
 # Monitors: real quantities of users whose zeros are events ------------------------------------------------------------
 
 
+Reading: TypeAlias = tuple[float, Array, Sequence[float]]  # time, state and parameters of the model
+
+
 @dataclass(frozen=True, eq=False)
 class Monitor:
     """A real quantity along a branch, as `function` (t, x, p) of a state and parameters; its zeros are named `name`.
@@ -384,9 +387,9 @@ class Monitor:
     name: str
     function: ca.Function
 
-    def value(self, space: Any, point: Point) -> float:
-        """The quantity at a point of a space."""
-        return float(self.function(*space.reading(point)))
+    def value(self, reading: Reading) -> float:
+        """The quantity at a point, by what is read there."""
+        return float(self.function(*reading))
 
     @cached_property
     def _slopes(self) -> ca.Function:
@@ -394,19 +397,19 @@ class Monitor:
         value = self.function(t, x, p)
         return ca.Function("slopes", [t, x, p], [ca.gradient(value, x), ca.gradient(value, p)])
 
-    def noise(self, space: Any, point: Point) -> float:
-        """The error of the value by that of the state, and by rounding of the largest state and parameter.
+    def error(self, reading: Reading, profile: float, to: float) -> float:
+        """The error of the value by that of the state, `profile`, and by rounding of the largest state and parameter.
 
         That of larger terms, as in 1e6 + x - 1e6, shows in the fourth differences of values at states beside this one
         (Hamming 1962; More and Wild 2011), which are up to 16 times as large, the largest rarely less than 4.
         """
-        t, x, p = space.reading(point)
+        t, x, p = reading
         by_x, by_p = (np.abs(np.array(slopes)).ravel() for slopes in self._slopes(t, x, p))
-        largest, x = np.max(np.abs(p), initial=abs(space.to)), np.asarray(x, dtype=float).ravel()
+        largest, x = np.max(np.abs(p), initial=abs(to)), np.asarray(x, dtype=float).ravel()
         rounding = np.sum(by_x) * np.max(np.abs(x)) + np.sum(by_p) * largest
         beside = np.array(self.function(t, np.outer(x, 1.0 + STEPS_BESIDE_STATE), p)).ravel()
         of_terms = np.max(np.abs(np.diff(beside, 4))) / 4.0
-        return float(by_x @ np.abs(x) * max(point.error.profile, EPSILON) + rounding * EPSILON + of_terms)
+        return float(by_x @ np.abs(x) * max(profile, EPSILON) + rounding * EPSILON + of_terms)
 
 
 STEPS_BESIDE_STATE = 6.18e-6 * np.arange(-7.5, 8.5)  # of a state: fourth differences of smooth values are some 1e-21
@@ -479,11 +482,8 @@ def monitored(space: Any, before: Point, after: Point, gaps: list[Unresolved]) -
     monitors = space.monitors
     if not monitors:
         return []
-    values, noise = (
-        lambda point, of=of: np.array([of(one, space, point) for one in monitors])
-        for of in (Monitor.value, Monitor.noise)
-    )
-    search = MonitorSearch(space, before, after, [one.name for one in monitors], values, noise)
+    names, known = [one.name for one in monitors], (space.monitor_values, space.monitor_errors)
+    search = MonitorSearch(space, before, after, names, *known)
     found = search.on_stretch()
     gaps += search.gaps
     return found
@@ -502,9 +502,9 @@ class MonitorAccount:
 
     def passed(self, points: Iterable[Point], named: Sequence[Unresolved] = ()) -> Iterator[Unresolved]:
         """Stretches up to points in order that no zero accounts for, but for those that are `named`."""
-        for point, one in product(points, self.space.monitors):
+        for point, (k, one) in product(points, enumerate(self.space.monitors)):
             name, here = one.name, self.space.value(self.space.parameter, point)
-            value, noise = (of(self.space, point) for of in (one.value, one.noise))
+            value, noise = (of(point)[k] for of in (self.space.monitor_values, self.space.monitor_errors))
             since = self._since.setdefault(name, [])
             since.append(here)
             if point.special == name and name in self._signs:

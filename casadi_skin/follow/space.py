@@ -180,6 +180,20 @@ class SolutionSpace:
         u = point.parameter
         return float(requested[u] if u in requested else self.parameters(point)[name])
 
+    # Monitors ---------------------------------------------------------------------------------------------------------
+
+    @of_last_points
+    def monitor_values(self, point: Point) -> Array:
+        """Values of the monitors, shape (monitors,)."""
+        reading = self.reading(point)
+        return np.array([monitor.value(reading) for monitor in self.monitors])
+
+    @of_last_points
+    def monitor_errors(self, point: Point) -> Array:
+        """Their errors."""
+        reading = self.reading(point)
+        return np.array([monitor.error(reading, point.error.profile, self.to) for monitor in self.monitors])
+
     # Solutions --------------------------------------------------------------------------------------------------------
 
     def interval(self, point: Point) -> tuple[float, float]:

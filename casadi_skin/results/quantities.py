@@ -261,7 +261,7 @@ def _component(values: Callable[[Place], Any], place: int) -> Callable[[Place], 
 
 
 def _monitored(space: Any, monitor: Any) -> Callable[[Place], float]:
-    return lambda p: float(monitor.value(space, p.solution.point))
+    return lambda p: float(monitor.value(space.reading(p.solution.point)))
 
 
 def _model_quantities(branch: Branch) -> list[Quantity]:
