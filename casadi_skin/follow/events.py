@@ -466,13 +466,15 @@ class Ledger:
     def _beside(self, before: Solution, after: Solution, fractions: Sequence[float]) -> Solution | None:
         """The first of orbits at fractions of the way at which all multipliers have a side; the first if none is it."""
         nearest: Solution | None = None
+        solver = self.space.point_solver
         for fraction in fractions:
-            point = self.space.point_solver.along(before.point, after.point, fraction)
-            if point is None:
-                break
-            found: Solution = self.space.solution(point, self.space.floquets([point])[0])
-            if not found.floquet().exponents.outside[1]:
-                return found
+            for along in (solver.coarse_along, solver.along):
+                point = along(before.point, after.point, fraction)
+                if point is None:
+                    return nearest
+                found: Solution = self.space.solution(point, self.space.floquets([point])[0])
+                if not found.floquet().exponents.outside[1]:
+                    return found
             nearest = nearest or found
         return nearest
 
