@@ -234,14 +234,18 @@ class SampledStretch:
 
     @cached_property
     def isolates_roots(self) -> NDArray[np.bool_]:
-        """Whether each quantity has no root within the bounds, or a simple one that shows at the ends."""
+        """Whether each quantity has no root within the bounds, or a simple one that shows at the ends.
+
+        It is simple where the quantity rises, or falls, wherever it may vanish.
+        """
         g, _ = self.quantities
         cubics, bound = self._halves
         t = cubics.places
         sign = _sign(g[0])
-        clear = np.all(sign * cubics.values > bound * 16.0 * (t * (1.0 - t)) ** 2, axis=(0, 1))
-        shaky = bound * np.abs(32.0 * t * (1.0 - t) * (1.0 - 2.0 * t))
-        steady = np.all(_sign(g[-1] - g[0]) * cubics.slopes >= shaky, axis=(0, 1))
+        off, shaky = bound * 16.0 * (t * (1.0 - t)) ** 2, bound * np.abs(32.0 * t * (1.0 - t) * (1.0 - 2.0 * t))
+        clear = np.all(sign * cubics.values > off, axis=(0, 1))
+        steady = _sign(g[-1] - g[0]) * cubics.slopes >= shaky
+        steady = np.all(steady | (np.abs(cubics.values) > off), axis=(0, 1))
         still = np.all(g == 0.0, axis=0)
         return np.asarray(still | np.where(sign != _sign(g[-1]), steady, clear))
 
