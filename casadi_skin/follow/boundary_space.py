@@ -34,12 +34,12 @@ from casadi_skin.stability.reduction import ComplexArray, vectors_of
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero import mesh
 from casadi_skin.zero.augmented import Singularity, SingularProblem
-from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO
+from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO, Faint
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.coordinates import numbered
 from casadi_skin.zero.family import TWO_PI, Method
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
-from casadi_skin.zero.orbit import FIRST_INTERVALS, Periodic, Sizes
+from casadi_skin.zero.orbit import FIRST_INTERVALS, UNFOLDING, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Refinement
@@ -151,9 +151,28 @@ def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
     return ending(orbit, HOPF, equilibria.problem.state(seen), values, found.value, error)
 
 
+def at_fixed_period(space: Any) -> Any:
+    """The orbits of a family at the period of the first of them, in place of what `select` is; raises ValueError."""
+    picked = space.connects == ORBITS and PERIOD in space.statement.free
+    if picked:
+        statement, whole = space.statement, space.symmetry is SymmetryClass.FULL
+        place = 1 if whole else 2  # as `statement_of` has it
+        unfolded = any(name.startswith(UNFOLDING) for name in statement.free)
+        picked = len(statement.conditions) > place and (unfolded or not whole)
+    if not picked:
+        raise ValueError("fixed: given with a solution whose period is its own; accepted: an orbit that `select` picks")
+    if statement.conditions[place].numel() != 1:
+        raise ValueError("fixed: given with an orbit of a family of several dimensions; accepted: one of one dimension")
+    model, conditions = statement.model, list(statement.conditions)
+    period = model.parameters[model.parameter_names.index(PERIOD)]
+    conditions[place] = period / statement.values[PERIOD] - 1
+    return replace(space, statement=replace(statement, conditions=conditions))
+
+
 # Solutions of a statement, and the branch of them in one parameter --------------------------------------------------
 
 MESH_INTERVALS = (5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250)
+PLACES = np.linspace(0.0, 1.0, 17)[:-1]  # at which an orbit is linearised to see which components are faint
 OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
 PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
 MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
@@ -217,6 +236,28 @@ class BoundarySpace(ParameterSpace):
             make = partial(ArbitratedCorrector, always=False, far=True)
         return RoundedCorrector(make(problem, tolerance, MOST_IPOPT_ITERATIONS))
 
+    def _faint(self) -> Faint | None:
+        """Components of the first orbit that are faint, by its linearisation at both ends of the branch."""
+        from scipy.sparse import csc_matrix
+
+        if self.first is None or self.singularity is not None or self.periodic is None:
+            return None
+        model, (problem, z) = self.statement.model, (self.first.problem, self.first.z)
+        values = {**self.statement.values, **dict(zip(model.parameter_names, problem.parameters(z), strict=True))}
+        slope, states = (
+            model.function("slope", ca.jacobian(model.full_rhs, model.full_state)),
+            problem.sample(z, PLACES),
+        )
+        sizes, size = np.zeros(slope.nnz_out(0)), model.full_size
+        for value in (self.begins, self.to):
+            p = [{**values, self.parameter: value}[name] for name in model.parameter_names]
+            sizes += sum(np.abs(np.array(slope(t, x, p).nonzeros())) for t, x in zip(PLACES, states, strict=True))
+        if not np.all(np.isfinite(sizes)):
+            return None
+        strength = csc_matrix((sizes, tuple(map(np.array, slope.sparsity_out(0).get_triplet()))), shape=(size, size))
+        strength.eliminate_zeros()
+        return Faint.of(strength, problem.sizes(z)[:size])
+
     @cached_property
     def levels(self) -> Levels:
         """Discretisations from coarse to fine; the scalar u is held, or follows the parameter."""
@@ -226,11 +267,15 @@ class BoundarySpace(ParameterSpace):
         else:
             formulation = special.formulation(self.statement, walking)
         table = TABLES[str(self.method.transcription)](self.method.degree)
-        sizes = self.sizes
+        sizes, faint = self.sizes, self._faint()
 
         def build(intervals: int) -> Problem:
             given = self.statement, formulation, intervals, table, sizes.states, sizes.scalars, walking, self.to
-            return BoundaryProblem(*given) if special is None else SingularProblem(special, *given)
+            if special is not None:
+                return SingularProblem(special, *given)
+            problem = BoundaryProblem(*given)
+            problem.faint = faint
+            return problem
 
         return Levels(
             build, self._corrector, tuple(sorted({*MESH_INTERVALS, int(self.method.intervals or FIRST_INTERVALS)}))

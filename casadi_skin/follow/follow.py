@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.arclength import Continuation
+from casadi_skin.follow.boundary_space import at_fixed_period
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
@@ -28,7 +29,7 @@ from casadi_skin.follow.search import Monitor, MonitorAccount, NotLocatedError
 from casadi_skin.follow.solution import Orbit, Solution, following_settings
 from casadi_skin.follow.space import FAMILY, SolutionSpace
 from casadi_skin.follow.special_points import StretchPoints, rate
-from casadi_skin.model.arguments import by_name, check_options, duration, function_of, short_repr, truth
+from casadi_skin.model.arguments import by_name, check_name, check_options, duration, function_of, short_repr, truth
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.result import in_turn
 from casadi_skin.solve.watch import TimeLimitError, one_thread, watched
@@ -37,6 +38,7 @@ from casadi_skin.zero.family import MAX_POINTS, FamilyModel, Method, family_requ
 from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, KINDS, KREIN, STABILITY, Unresolved
 from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.settings import End, Point, Target
+from casadi_skin.zero.stated_problem import PERIOD
 
 # Solutions of the points of a branch, with their stability and the ledger ---------------------------------------------
 
@@ -500,6 +502,7 @@ def follow(
     stability: bool = False,
     events: bool = True,
     monitors: Mapping[str, Any] | None = None,
+    fixed: str | None = None,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
     """The branch through a solution in the direction of `to`, by pseudo-arclength continuation (Keller 1977).
@@ -523,6 +526,7 @@ def follow(
             those of an equilibrium, of an orbit at phase zero (see `section` of `find_orbit`), of another solution at
             the start of its interval. A value that is touched without a change of sign is no special point; a change of
             sign on a stretch where rounding is as large as the quantity is `unresolved`.
+        fixed: "period", of orbits that `select` picks from a family: the period keeps its value in place of that.
         progress: called with each solution.
 
     Returns:
@@ -536,6 +540,9 @@ def follow(
     seconds = duration("time_limit", time_limit)
     options = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     space = following_space(solution, parameter, to, **options)
+    if fixed is not None:
+        check_name("fixed", fixed, [PERIOD])
+        space = at_fixed_period(space)
     if stability and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")

@@ -282,3 +282,46 @@ def _response(matrix: Any, change: Array) -> Array:
     except (np.linalg.LinAlgError, RuntimeError):  # SuperLU: "Factor is exactly singular"
         return np.full(matrix.shape[0], np.inf)
     return np.asarray(np.max(np.abs(moved), axis=1, initial=0.0))
+
+
+# Units of components that are faint where others are not -------------------------------------------------------------
+
+FAINT_COMPONENT_RATIO = 1e-3  # of the largest that a component acts on and that acts on it, in balanced units
+
+
+@dataclass(frozen=True, eq=False)
+class Faint:
+    """Components that are small beside others which they move and which move them, as the tails of a breather.
+
+    Attributes:
+        units: balanced units of all components, shape (n,).
+        blocks: which components act on each other, numbered, shape (n,).
+        components: which are faint, shape (n,).
+    """
+
+    units: Array
+    blocks: NDArray[np.integer[Any]]
+    components: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, strength: Any, sizes: Array) -> Faint | None:
+        """Of the sizes of df/dx, sparse by columns, and those of the components; None where none is faint."""
+        from scipy.sparse.csgraph import connected_components
+
+        _, blocks = connected_components(strength, connection="strong")
+        acting = strength.tocoo()
+        acting.data = np.where(blocks[acting.row] == blocks[acting.col], acting.data, 0.0)
+        units = np.exp2(logarithms_of_units(acting.tocsc()))
+        found = cls(units, blocks, np.ones(len(units), dtype=bool))
+        faint = sizes < FAINT_COMPONENT_RATIO * found.largest(sizes)
+        return cls(units, blocks, faint) if faint.any() else None
+
+    def largest(self, sizes: Array) -> Array:
+        """The size of the largest component that acts on each one, in the units of this one."""
+        found = np.zeros(self.blocks.max() + 1)
+        np.maximum.at(found, self.blocks, sizes / self.units)
+        return np.asarray(self.units * found[self.blocks])
+
+    def measured(self, sizes: Array) -> Array:
+        """Sizes of components, those of faint ones as large as of others."""
+        return np.where(self.components, np.maximum(sizes, self.largest(sizes)), sizes)

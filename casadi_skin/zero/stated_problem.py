@@ -16,6 +16,7 @@ from casadi_skin.model.arguments import cut
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.result import NoQuantityError
 from casadi_skin.zero import mesh
+from casadi_skin.zero.balanced import Faint
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.discretisation import Formulation
@@ -42,6 +43,8 @@ class BoundaryProblem(CollocationEquations):
     Each component of the state is measured by its own largest value, and by no less than its entry in `floors`; free
     parameters by their value and no less than `scalar_floors`.
     """
+
+    faint: Faint | None = None
 
     def __init__(
         self,
@@ -145,9 +148,15 @@ class BoundaryProblem(CollocationEquations):
         return found
 
     def metric(self, z: Array, parameter_scale: float) -> Array:
-        """Diagonal of the mean over the columns of |dx|^2 relative to the components' sizes, and of the scalars."""
+        """Diagonal of the mean over the columns of |dx|^2 relative to the components' sizes, and of the scalars.
+
+        Tails do not count: components that are faint where a branch starts are measured by what acts on them.
+        """
         weights, values = np.empty(self.size), z[: self.states].reshape(self.columns, -1)
-        weights[: self.states].reshape(values.shape)[:] = self._component_sizes(values) ** -2.0 / self.columns
+        sizes = self._component_sizes(values)
+        if self.faint is not None:
+            sizes = self.faint.measured(sizes)
+        weights[: self.states].reshape(values.shape)[:] = sizes**-2.0 / self.columns
         weights[self.states : -1], weights[-1] = self._scalar_sizes(z) ** -2.0, parameter_scale**-2.0
         return weights
 
