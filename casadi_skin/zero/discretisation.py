@@ -368,7 +368,8 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
     of, table, K, d = equations.formulation, equations.table.defect, equations.intervals, equations.table.degree
     lengths, arguments = numbers[:K], at_checks(equations, z, numbers)
     field, integrands = (by_intervals(equations, found) for found in equations.along(*arguments))
-    defects = lengths[:, None, None] * field - table.slopes @ polynomials(equations, z)
+    rises = polynomials(equations, z)[1]
+    defects = lengths[:, None, None] * field - table.slopes[:, 1:] @ rises
     residual = [-(table.increments @ defects).ravel(), np.zeros(of.conditions.numel())]
     if of.integrals:
         at_stages = equations.along(*equations.stages(z, numbers))[1][:-1].reshape(K, d, -1)
@@ -377,10 +378,14 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
     return np.concatenate(residual), (table.between @ defects).reshape(-1, of.states)
 
 
-def polynomials(equations: Discretisation, z: Array) -> Array:
-    """The state values that determine the polynomial of each interval, shape (K, d + 1, states)."""
+def polynomials(equations: Discretisation, z: Array) -> tuple[Array, Array]:
+    """The states at the starts of the intervals, (K, 1, states), and what the polynomials' other values differ by.
+
+    These differences, (K, d, states), are small, and so is the rounding of what is made of them.
+    """
     values = z[: equations.state_values].reshape(-1, equations.formulation.states)
-    return np.asarray(values[equations.structure.start[:, None] + np.arange(equations.table.degree + 1)])
+    first = values[equations.structure.start][:, None]
+    return first, values[equations.structure.start[:, None] + np.arange(1, equations.table.degree + 1)] - first
 
 
 def at_checks(equations: Discretisation, z: Array, numbers: Array, between: Array | float = 0.0) -> tuple[Array, ...]:
@@ -392,7 +397,8 @@ def at_checks(equations: Discretisation, z: Array, numbers: Array, between: Arra
     lengths, constants = np.split(numbers, [equations.intervals])
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     inner = ends[:-1, None] + lengths[:, None] * table.defect.inner
-    within = (table.defect.values @ polynomials(equations, z)).reshape(-1, n) + between
+    first, rises = polynomials(equations, z)
+    within = (first + table.defect.values[:, 1:] @ rises).reshape(-1, n) + between
     states = np.concatenate([within, z[:count].reshape(-1, n)[:: table.ends.size]])
     return np.concatenate([inner.ravel(), ends])[:, None], states, z[count:], constants
 

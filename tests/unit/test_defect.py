@@ -10,6 +10,7 @@ from casadi_skin import BoundaryValueProblem, OdeModel
 from casadi_skin.follow.solution import Solution
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.butcher import gauss_table, radau_table
+from casadi_skin.zero.discretisation import missed
 
 t, x, y, p = (ca.SX.sym(name) for name in ("t", "x", "y", "p"))
 
@@ -100,3 +101,12 @@ def test_a_defect_that_is_not_finite_leaves_the_error_to_a_finer_mesh() -> None:
     solve = BorderedSolver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
     assert problem.improvement(z, solve) is None
     assert abs(found.evaluate([1.0])[0, 0] + 0.25) <= found.error < 1e-4
+
+
+def test_rounding_of_the_defect_does_not_grow_with_the_number_of_intervals() -> None:
+    """A constant x = 1000 beside sin t: the defect of what does not change is zero to the last bit."""
+    model = OdeModel("beside", ca.vertcat(x, y), ca.vertcat(0 * x, -ca.sin(t)), time=t, forcing_period=2 * np.pi)
+    stated = BoundaryValueProblem(model, [model.start(x) - 1000, model.start(y) - 1], interval=(0.0, 3.0))
+    found = stated.solve([1000.0, 1.0], tolerance=1e-8, intervals=200)
+    left, _ = missed(found.problem.discretisation, found.point.z, found.problem.numbers)
+    assert np.all(left[: found.problem.states - 2].reshape(-1, 2)[:, 0] == 0.0)
