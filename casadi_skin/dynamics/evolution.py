@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -194,6 +194,12 @@ def _gauge_of(model: OdeModel, values: Array) -> Gauge | None:
     return Gauge(scaled, np.empty(0), log_scale)
 
 
+@lru_cache(maxsize=2)
+def _models(chain: Chain) -> tuple[OdeModel, OdeModel]:
+    """In the gauge, and in physical coordinates; the last are kept, since evolutions of a chain are often many."""
+    return chain.gauge_model(), chain.physical_model()
+
+
 def chain_equations(chain: Chain, parameters: Mapping[str, float] | None = None) -> EquationsOfMotion:
     """Displacements y_n and velocities v_n of all sites of a chain; the energy is that of the gauge.
 
@@ -208,8 +214,9 @@ def chain_equations(chain: Chain, parameters: Mapping[str, float] | None = None)
     if chain.g < 0 and chain.alpha > -2.0:
         well = float(np.sqrt((2.0 + chain.alpha) / -chain.g))
     names = tuple(f"{x}_{n}" for x in "yv" for n in range(1, chain.sites + 1))
-    gauge = Gauge(chain.gauge_model(), values, chain.log_rho)  # eta at S = 1, where kappa is g
-    return EquationsOfMotion(chain, chain.physical_model(), chain.parameters, values, names, gauge, True, escape, well)
+    in_gauge, physical = _models(chain)
+    gauge = Gauge(in_gauge, values, chain.log_rho)  # eta at S = 1, where kappa is g
+    return EquationsOfMotion(chain, physical, chain.parameters, values, names, gauge, True, escape, well)
 
 
 # The cycle that an evolution settles on: where it returns to itself, followed on where its outputs do not show it -----

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property, lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -39,7 +39,7 @@ from casadi_skin.model.integrators import (
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import read
 from casadi_skin.model.result import in_turn
-from casadi_skin.native import kernels, program_lists, stepped
+from casadi_skin.native import Structure, kernels, program_lists, stepped
 from casadi_skin.stability.flows import SPLITTING_ORDER, KicksAndDrifts, srkn_step
 from casadi_skin.zero.problem import Array, Indices
 
@@ -73,6 +73,13 @@ def symplectic(
     return wanted
 
 
+@lru_cache(maxsize=2)
+def _force(model: OdeModel, parameters: tuple[float, ...]) -> Structure | None:
+    """The forces of a model for kernels."""
+    force = ca.Function("force", [model.state, ca.vec(model.parameters)], [ca.densify(model.rhs)])
+    return program_lists(*read(force), np.array(parameters))
+
+
 class Splitting:
     """The splitting with equal steps of q'' = f(q, parameters), compiled, or else by CasADi with the same numbers."""
 
@@ -81,8 +88,7 @@ class Splitting:
             accepted = f"{', '.join(ANY_INTEGRATORS)}, or a model of second order without forcing"
             raise ValueError(f"method: given symplectic for {model.name}; accepted: {accepted}")
         self.model, self.size, self.parameters = model, model.full_size, parameters
-        force = ca.Function("force", [model.state, ca.vec(model.parameters)], [ca.densify(model.rhs)])
-        self._force = program_lists(*read(force), parameters) if kernels() else None
+        self._force = _force(model, tuple(parameters.tolist())) if kernels() else None
 
     @cached_property
     def _step(self) -> ca.Function:
