@@ -34,7 +34,8 @@ EXTREME_LOG_CONDITION = float(np.log(1e14))  # of a product: beyond it eigenvalu
 FAR_LOG_EIGENVALUE = 7.0  # logarithm of an eigenvalue of whose digits factors may have lost some
 LOG_MODULUS_SPREAD = float(np.log(1e4))  # of the moduli of a block
 CONVERGED_LOG_GAIN = 40.0  # logarithm of the gain of subspace iteration over a gap
-SUBSPACE_ROUNDS = 60  # of it
+SUBSPACE_ROUNDS, FEW_ROUNDS = 60, 8  # of it, and of many states
+OPEN_FRAME_ATOL = 1e-8  # of frames at the start and the end, where the first vectors span the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +153,9 @@ def _of_both(forward: Spectrum, size: float, inverse: tuple[Array, float]) -> Sp
 def _schur(maps: Array) -> Spectrum | None:
     """Eigenvalues block by block of triangular factors; None where a factor is singular."""
     n = maps.shape[1]
-    frame = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
+    frame = _general_frame(n)
     edges: list[int] = []
-    for turn in range(1, SUBSPACE_ROUNDS + 1):
+    for turn in range(1, (SUBSPACE_ROUNDS if n <= MOST_STATES else FEW_ROUNDS) + 1):
         start = frame
         frame, factors = _triangular(maps, frame)
         diagonal = np.abs(np.diagonal(factors, axis1=1, axis2=2))
@@ -162,7 +163,9 @@ def _schur(maps: Array) -> Spectrum | None:
             return None
         logs = np.sum(np.log(diagonal), axis=0)
         gaps = logs[:-1] - logs[1:]
-        edges = [0, *(np.flatnonzero(turn * gaps > CONVERGED_LOG_GAIN) + 1).tolist(), n]
+        open_at = _below(np.abs(start.T @ frame))  # a pair that turns has gaps as well, but no frame of its own
+        apart = (turn * gaps > CONVERGED_LOG_GAIN) & (open_at <= OPEN_FRAME_ATOL)
+        edges = [0, *(np.flatnonzero(apart) + 1).tolist(), n]
         if turn > 1 and all(abs(logs[a] - logs[b - 1]) <= LOG_MODULUS_SPREAD for a, b in pairwise(edges)):
             break
     blocks = []
@@ -173,6 +176,18 @@ def _schur(maps: Array) -> Spectrum | None:
     logs, phases = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("logs", "phases"))
     order = np.argsort(-logs, kind="stable")
     return Spectrum(logs[order], phases[order], True)
+
+
+@lru_cache(maxsize=16)
+def _general_frame(n: int) -> Array:
+    """An orthogonal matrix in general position, which is not to be written to."""
+    return np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
+
+
+def _below(sizes: Array) -> Array:
+    """The largest entry below and left of each place between two neighbours on the diagonal."""
+    columns = np.maximum.accumulate(sizes[::-1], axis=0)[::-1]
+    return np.diagonal(np.maximum.accumulate(columns, axis=1), -1)
 
 
 def _triangular(maps: Array, frame: Array) -> tuple[Array, Array]:

@@ -127,6 +127,20 @@ def test_products_of_random_factors_have_the_eigenvalues_of_their_exact_product(
     np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
 
 
+def test_a_pair_that_turns_beside_many_that_decay_is_not_taken_apart() -> None:
+    """Of modulus 0.2; its triangular factors have diagonals that differ at each map, and others converge slowly."""
+    generator, K, n = np.random.default_rng(0), 12, 14
+    frames = np.linalg.qr(generator.normal(size=(K, n, n)))[0]
+    logs = np.concatenate([[0.0, np.log(0.2), np.log(0.2)], -5.0 - 1.2 * np.arange(n - 4), [-60.0]])
+    upper = np.triu(0.1 * generator.normal(size=(K, n, n)), 1) + np.diag(np.exp(logs / K))
+    turn = np.array([[0.0, -3.0], [1.0 / 3.0, 0.0]])
+    upper[:, 1:3, 1:3] = 0.2 ** (1 / K) * (np.cos(0.6) * np.eye(2) + np.sin(0.6) * turn)
+    found = spectrum_of(np.roll(frames, -1, axis=0) @ upper @ frames.swapaxes(1, 2))
+    assert found.extreme
+    np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(np.abs(np.angle(found.phases[1:3])), 7.2 - 2 * np.pi, atol=1e-9)
+
+
 def decaying(exponents: list[float]) -> Orbit:
     """x_k' = e_k (1 + 0.3 cos 2 pi t) (x_k - sin 2 pi t) + 2 pi cos 2 pi t, so that multipliers are exp(e_k)."""
     t, p, x = ca.SX.sym("t"), ca.SX.sym("p"), ca.SX.sym("x", len(exponents))
