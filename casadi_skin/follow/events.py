@@ -130,11 +130,10 @@ class _OrbitSearch(Search):
         (past, exponents), (_, others) = self.sampler.past, self.sampler.ends[0]
         if exponents.values.size != others.values.size or (exponents.pairs is None) != (others.pairs is None):
             return None
-        problem = self.last.problem
-        z, tangent = (past.problem.prolong(v, problem) for v in (past.z, past.tangent))
-        there = replace(past, problem=problem, z=z, tangent=tangent, better=None)
-        ahead = float(self.row @ tangent), float((self.metric(there) * tangent) @ self.last.tangent)
-        if not (self.sigma(there) < 0.0 and min(ahead) > ALIGNED_COSINE):
+        joined = self.solver.joined(past, self.last)
+        there = replace(past, problem=self.last.problem, z=joined.z, tangent=joined.tangent, better=None)
+        aligned = min(self.row @ joined.tangent, joined.row @ self.last.tangent) > ALIGNED_COSINE
+        if not aligned or self.sigma(there) >= 0.0:
             return None
         self._own[id(there)] = past
         return there
@@ -145,7 +144,7 @@ class _OrbitSearch(Search):
     def _is_far(self, past: Point) -> bool:
         """Whether multipliers stay away from the circle, by their changes since the point before, without any rates."""
         first, last = (exponents for _, exponents in self.sampler.ends)
-        if last.outside[1]:
+        if last.outside[1] or first.values.size != last.values.size:
             return False
         here, longer = first.values.real, self.length / -self.sigma(past)
         before = self.sampler.here(self.own(past)).values

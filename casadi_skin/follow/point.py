@@ -76,10 +76,6 @@ class LocalCurve:
         """Derivative dz/dsigma, of one shape with `at`."""
         return np.asarray(_powers(sigma, self._derivative.shape[0]) @ self._derivative)
 
-    def component(self, index: int) -> LocalCurve:
-        """That of one of the unknowns."""
-        return LocalCurve(self.coefficients[:, [index]], self.length)
-
     def crossings(self, index: int, values: Iterable[float], end: float | None = None) -> list[tuple[float, float]]:
         """All (sigma, value) with sigma in (0, end] at which component `index` equals one of `values`, ascending.
 
@@ -200,7 +196,7 @@ TURNED_TANGENT = (
 BESIDE_TARGET_REACH = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
 
-KEPT_STRETCHES = 4  # whose starts are kept in the unknowns of their ends
+KEPT_STRETCHES = 6  # whose starts are kept in the unknowns of their ends
 STACKED_UNKNOWNS = 1000  # unknowns up to which arrays over several states stay in the cache of a core
 
 

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cycles_in_closed_form import Block, Truth
 
+from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.events import Event, _Free
 from casadi_skin.follow.samples import Crossing, SampledStretch
 from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, ExponentSampler, beside_on_tangent
@@ -114,3 +116,19 @@ def test_crossings_there_and_back_within_a_step_are_found_as_often_as_with_a_sam
         computed, steps = computed + line.sets, steps + places.size - 1
     assert found >= least * planted
     assert computed <= sets * steps
+
+
+def test_multipliers_far_from_the_circle_are_computed_once_a_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside those with their errors, at each point of a branch; near the circle once more, for their rates."""
+    computed, alone = list[float](), BoundarySpace.multipliers_alone
+
+    def counted(space: BoundarySpace, point: Point) -> Any:
+        computed.append(point.parameter)
+        return alone(space, point)
+
+    monkeypatch.setattr(BoundarySpace, "multipliers_alone", counted)
+    far: Any = Truth((Block((-0.3, -0.1), 0.7),)).follow()
+    assert len(computed) <= 0.3 * len(far.values)
+    computed.clear()
+    near: Any = Truth((Block((-0.01, -0.3), 0.7),)).follow()
+    assert len(computed) <= 1.3 * len(near.values)
