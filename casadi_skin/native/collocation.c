@@ -84,12 +84,14 @@ static inline __attribute__((always_inline)) void update(int64_t height, int64_t
 {
     double u[PANEL];
     for (int j = 0; j < count; j++)
-        exchange(x, k + j, with[j]);
+        if (with[j] != k + j)
+            exchange(x, k + j, with[j]);
     for (int j = 0; j < count; j++) {
         u[j] = x[k + j];
         for (int i = 0; i < j; i++)
             u[j] -= pivots[i * height + k + j] * u[i];
-        x[k + j] = u[j];
+        if (j)
+            x[k + j] = u[j];
     }
     int64_t i = (k + count) / REGISTER * REGISTER;
     const int64_t head = (k + count) % REGISTER;
@@ -136,7 +138,6 @@ static int64_t eliminate(int64_t pivots, int64_t rows, int64_t height, int64_t w
         for (int64_t j = 0; j < count; j++) {
             const int64_t k = first + j;
             double *x = panel + j * height;
-            update_all(height, first, j, panel, with, 1, x);
             int64_t p = k;
             double most = fabs(x[k]);
             for (int64_t i = k + 1; i < rows; i++)
@@ -147,7 +148,7 @@ static int64_t eliminate(int64_t pivots, int64_t rows, int64_t height, int64_t w
                 return -1;
             odd += (p != k) + (x[p] < 0.0);
             if (p != k) {
-                for (double *other = block; other <= x; other += height)
+                for (double *other = block; other < panel + count * height; other += height)
                     exchange(other, k, p);
                 const int32_t row = order[k];
                 order[k] = order[p], order[p] = row;
@@ -162,6 +163,7 @@ static int64_t eliminate(int64_t pivots, int64_t rows, int64_t height, int64_t w
             for (i += REGISTER; i < height; i += REGISTER)
                 *(chunk *)(x + i) *= inverse;
             x[k] = inverse;
+            update_all(height, k, 1, x, &(int32_t){(int32_t)k}, count - 1 - j, x + height);
         }
         update_all(height, first, count, panel, with, width - first - count, panel + count * height);
     }
@@ -377,11 +379,12 @@ static void fill(const layout *l, factors f, const double *nonzeros, const doubl
 {
     const int64_t n = l->n, inner = n * (l->R - 1), rows = n * l->R, *height = l->heights, *width = l->widths;
     const int64_t longs = l->longs, bottom = l->K * rows;
-    double *base = f.blocks;
+    double *restrict base = f.blocks;
+    const int32_t *restrict target = l->target;
     memset(base, 0, (size_t)(l->K * height[0] * width[0]) * sizeof(double));
     memset(f.last, 0, (size_t)(height[2] * width[2] + longs * (n * (l->K + 1) + l->m)) * sizeof(double));
-    for (int64_t i = 0; i < l->nonzeros; i++)
-        base[l->target[i]] = nonzeros[i];
+    for (int64_t i = 0, count = l->nonzeros; i < count; i++)
+        base[target[i]] = nonzeros[i];
     for (int64_t k = 0; k < l->K; k++) {
         double *block = f.blocks + k * height[0] * width[0] + rows + longs - 1;
         for (int64_t i = 0; i < inner; i++)
@@ -531,6 +534,16 @@ static double factors_of(const layout *l, factors f, const double *nonzeros, con
     return more < 0 ? 0.0 : (odd + more) % 2 ? -1.0 : 1.0;
 }
 
+static void add_products(int64_t size, const int64_t *restrict columns, const int32_t *restrict rows,
+                         const double *restrict nonzeros, const double *restrict x, double *restrict sums)
+{
+    for (int64_t c = 0; c < size; c++) {
+        const double value = x[c];
+        for (int64_t i = columns[c], end = columns[c + 1]; i < end; i++)
+            sums[rows[i]] += nonzeros[i] * value;
+    }
+}
+
 /* Factors in `memory` of the matrix of these non-zeros and this last row, the sign of its determinant in `sign`, and in
    x, (3, size), the solutions for the closing row alone and for residuals in general position, of size 1 and in units
    of their own, conditions at least `least`; of which the last is not solved for without `sizes`. They
@@ -556,9 +569,7 @@ KERNEL(collocation_factors)(const layout *l, const double *nonzeros, const doubl
     if (!(largest(raw, size) < l->singular || (sizes && largest(general, size) < l->singular)))
         return 1;
     memset(room, 0, (size_t)size * sizeof(double));
-    for (int64_t c = 0; c < size; c++)
-        for (int64_t i = l->columns[c]; i < l->columns[c + 1]; i++)
-            room[l->rows[i]] += nonzeros[i] * x[c];
+    add_products(size, l->columns, l->rows, nonzeros, x, room);
     double closed = -1.0;
     for (int64_t i = 0; i < size; i++)
         closed += row[i] * x[i];
