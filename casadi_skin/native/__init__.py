@@ -8,7 +8,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | source | what it computes | the same by numpy |
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
-| collocation.c | collocation equations, their factors, maps over intervals | `zero.discretisation`, `solve.bordered` |
+| collocation.c | collocation equations and their factors | `zero.discretisation`, `solve.bordered` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
 | program.c, places.c | expressions, operations that are alike together, or at many places | CasADi |
@@ -50,7 +50,6 @@ FUNCTIONS = {
     "bordered_steps": "aiaaaiaaaa",
     "collocation_factors": "aaaaraaaa",
     "collocation_solve": "aaia",
-    "collocation_maps": "aaa",
     "collocation_equations": "aaaaa",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
@@ -188,6 +187,28 @@ def _terms(groups: Sequence[Monomials]) -> tuple[Any, ...]:
     return degrees.size, powers, degrees, rows, np.cumsum(degrees) - degrees, factors, coefficients
 
 
+# Memory of factors, which an operating system takes as long to give as the factors take ------------------------------
+
+MOST_KEPT = 8_000_000  # numbers of memory that is used again
+
+_free = list[Array]()
+
+
+def memory_of(size: int) -> Array:
+    """Room for as many numbers, that of factors which nobody holds any more if there is some."""
+    for k, known in enumerate(_free):
+        if size <= known.size <= 2 * size:
+            return _free.pop(k)
+    return np.empty(size)
+
+
+def give_back(memory: Array) -> None:
+    """Let the memory of factors be used again."""
+    _free.append(memory)
+    while sum(known.size for known in _free) > MOST_KEPT:
+        _free.pop(0)
+
+
 # Bands with borders: bordered.c --------------------------------------------------------------------------------------
 
 
@@ -220,7 +241,7 @@ class BorderedKernel:
 
     def memory(self) -> Array:
         """Room for one factorised matrix."""
-        return np.empty(self._room)
+        return memory_of(self._room)
 
     def steps(self, z: Array, nonzeros: Array, rows: Array, x: Array, memory: Array | None = None) -> Array | None:
         """Signs of the determinants of matrices at states, (states, size); None where one is singular but for rounding.

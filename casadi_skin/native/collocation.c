@@ -5,9 +5,9 @@
    closing row, in all unknowns. Within each interval Gaussian elimination with exchanges of rows takes the q n inner
    unknowns out (Ascher, Mattheij and Russell 1995, section 7.2) and leaves n rows
 
-       S_k x_k + E_k x_(k+1) + G_k s = r_k,
+       S_k x_k + E_k x_(k+1) + G_k s = r_k.
 
-   which are kept: x_(k+1) = -E_k^-1 S_k x_k are the maps of the linearised equations. Then x_1 .. x_(K-1) in turn, each
+   Then x_1 .. x_(K-1) in turn, each
    from 2 n rows (Wright 1993), and what is left is dense in x_0, x_K and s. Long rows are eliminated along, as
    further rows of every block that are no pivots. Rows are divided by their largest terms in units that balance the
    derivatives by one another, all powers of 2 (Osborne 1960): no pivot is chosen by the units of the states.
@@ -575,32 +575,6 @@ KERNEL(collocation_factors)(const layout *l, const double *nonzeros, const doubl
         closed += row[i] * x[i];
     const double most = largest(x, size) * largest(nonzeros, l->nonzeros);
     return !(largest(room, size) <= l->accurate * most && fabs(closed) <= l->accurate);
-}
-
-/* The maps -E^-1 S over the intervals, (K, n, n), from factors; 1 where one is not defined. */
-KERNEL(collocation_maps)(const layout *l, double *memory, double *maps)
-{
-    const factors f = within(l, memory);
-    const int64_t n = l->n, inner = n * (l->R - 1), *height = l->heights, *width = l->widths;
-    double *block = f.room, *y = block + 2 * n * height[1];
-    int32_t *order = (int32_t *)(y + height[1]);
-    for (int64_t k = 0; k < l->K; k++, maps += n * n) {
-        const double *S = f.blocks + k * height[0] * width[0] + inner * (height[0] + 1), *E = S + n * height[0];
-        memset(block, 0, (size_t)(2 * n * height[1]) * sizeof(double));
-        for (int64_t c = 0; c < n; c++) {
-            memcpy(block + c * height[1], E + c * height[0], (size_t)n * sizeof(double));
-            memcpy(block + (n + c) * height[1], S + c * height[0], (size_t)n * sizeof(double));
-        }
-        if (eliminate(n, n, height[1], 2 * n, block, order) < 0)
-            return 1;
-        for (int64_t c = 0; c < n; c++) {
-            double *column = block + (n + c) * height[1];
-            upper(n, height[1], block, 1, column, y, 0);
-            for (int64_t i = 0; i < n; i++)
-                maps[i * n + c] = -y[i];
-        }
-    }
-    return 0;
 }
 
 /* Equations -------------------------------------------------------------------------------------------------------- */

@@ -4,30 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_skin.native import LANES, Array, Indices, Structure, kernels
+from casadi_skin.native import LANES, Array, Indices, Structure, give_back, kernels, memory_of
 
 LAYOUT = 20 * "i" + "aaarra"
 EQUATIONS = 12 * "i" + 14 * "a"
-MOST_KEPT = (
-    8_000_000  # numbers of memory that is used again: an operating system takes as long to give it as factors do
-)
-
-_free = list[Array]()
-
-
-def _memory(size: int) -> Array:
-    """Room for as many numbers, that of factors which nobody holds any more if there is some."""
-    for k, known in enumerate(_free):
-        if size <= known.size <= 2 * size:
-            return _free.pop(k)
-    return np.empty(size)
-
-
-def give_back(memory: Array) -> None:
-    """Let the memory of factors be used again."""
-    _free.append(memory)
-    while sum(known.size for known in _free) > MOST_KEPT:
-        _free.pop(0)
 
 
 class CollocationKernel:
@@ -54,7 +34,7 @@ class CollocationKernel:
         heights = [-(-height // LANES) * LANES for height in (R * n + longs, 2 * n + longs, last)]
         widths = inner + last, n + last, last
         orders = (K * R * n + (K - 1) * 2 * n + last + 1) // 2  # integers, two in the room of a real number
-        room = 4 * (sum(heights) + last + longs) + (2 * n + 2) * heights[1]  # right-hand sides, or a block of maps
+        room = 4 * (sum(heights) + last + longs) + n * n  # right-hand sides, or a matrix
         matrices = K * heights[0] * widths[0], (K - 1) * heights[1] * widths[1], heights[2] * last
         parts = *matrices, (n * (K + 1) + m) * longs, 2 * (K * R * n + n + m), room, orders
         at = np.cumsum([0, *(-(-part // LANES) * LANES for part in parts)])
@@ -77,30 +57,21 @@ class CollocationKernel:
         shape = *sizes, counts[0], longs, rows.size, *heights, *widths, *at[:-1].tolist()
         self.layout = Structure(LAYOUT, *shape, *data, *limits, probe)
 
-    def factors(
-        self, nonzeros: Array, row: Array, sizes: Array | None, least: float
-    ) -> tuple[Array, float, Array] | None:
-        """Factors, the sign of the determinant, and the solution for the closing row; None of a singular matrix.
+    def factors(self, nonzeros: Array, row: Array, sizes: Array | None, least: float) -> tuple[Array, float] | None:
+        """Factors and the sign of the determinant; None of a singular matrix.
 
         Arguments:
             nonzeros, row: of the Jacobian, and the closing row.
             sizes: of the unknowns, by which singular matrices are told; 1 where it is None.
             least: size of residuals of conditions, at least.
         """
-        memory, sign, x = _memory(self._room), np.empty(1), np.empty((4, self._size))
+        memory, sign, x = memory_of(self._room), np.empty(1), np.empty((4, self._size))
         data = nonzeros, row, sizes, least, memory, sign, x, x[3]
         if self._kernels["collocation_factors"](self.layout, *data):
             give_back(memory)
             return None
-        return memory, float(sign[0]), x[0]
+        return memory, float(sign[0])
 
     def solve(self, memory: Array, x: Array) -> None:
         """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
         self._kernels["collocation_solve"](self.layout, memory, len(x), x)
-
-    def maps(self, memory: Array) -> Array:
-        """Maps from x_k to x_(k+1) of the linearised equations with scalars held, (K, n, n), from the factors."""
-        found = np.empty((self._K, self._n, self._n))
-        if self._kernels["collocation_maps"](self.layout, memory, found):
-            raise np.linalg.LinAlgError("Singular matrix")
-        return found

@@ -14,12 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.native import MOST, BorderedKernel, Structure, kernels
-from casadi_skin.native.collocation import CollocationKernel, give_back
+from casadi_skin.native import MOST, BorderedKernel, Structure, give_back, kernels
+from casadi_skin.native.collocation import CollocationKernel
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
 
@@ -30,11 +31,12 @@ if TYPE_CHECKING:
 # Solves with a factorised matrix: a band with its border, or a sparse one by SuperLU ---------------------------------
 
 
-class BandFactors:
-    """Solves with a band and its border; `orientation` is the sign of the determinant."""
+class CompiledFactors:
+    """Solves with factors of a compiled kernel in its memory; `orientation` is the sign of the determinant."""
 
-    def __init__(self, kernel: BorderedKernel, memory: Array, orientation: float) -> None:
+    def __init__(self, kernel: BorderedKernel | CollocationKernel, memory: Array, orientation: float) -> None:
         self.kernel, self.memory, self.orientation = kernel, memory, orientation
+        finalize(self, give_back, memory).atexit = False
 
     @property
     def compiled(self) -> tuple[Structure, Array]:
@@ -45,32 +47,6 @@ class BandFactors:
         x = np.array(b.reshape(b.shape[0], -1).T, order="C")
         self.kernel.solve(self.memory, x)
         return x.T.reshape(b.shape)
-
-
-class CollocationFactors:
-    """Solves with condensed collocation equations; `maps` are those over the intervals with scalars held.
-
-    `along` is the solution for the closing row alone, (0, ..., 0, 1).
-    """
-
-    def __init__(self, kernel: CollocationKernel, memory: Array, orientation: float, along: Array) -> None:
-        self.kernel, self.memory, self.orientation, self.along = kernel, memory, orientation, along
-
-    def __del__(self) -> None:
-        give_back(self.memory)
-
-    def __call__(self, b: Array) -> Array:
-        x = np.array(b.reshape(b.shape[0], -1).T, order="C")
-        self.kernel.solve(self.memory, x)
-        return x.T.reshape(b.shape)
-
-    @cached_property
-    def maps(self) -> Array:
-        """From the start to the end of each interval, (intervals, n, n), of the matrix that was factorised.
-
-        Raises numpy.linalg.LinAlgError where one is not defined.
-        """
-        return self.kernel.maps(self.memory)
 
 
 class DenseFactors:
@@ -296,7 +272,7 @@ class BorderedSolver:
             memory = self._kernel.memory()
             orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
             if orientation is not None:
-                return BandFactors(self._kernel, memory, float(orientation[0]))
+                return CompiledFactors(self._kernel, memory, float(orientation[0]))
         condensed = self._condensed(nonzeros, row, z)
         if condensed is not None:
             return condensed
@@ -352,13 +328,13 @@ class BorderedSolver:
             max(defect.max(), -defect.min()) <= ACCURATE_RESIDUAL * largest and abs(row @ x - 1.0) <= ACCURATE_RESIDUAL
         )
 
-    def _condensed(self, nonzeros: Array, row: Array, z: Array | None = None) -> CollocationFactors | None:
+    def _condensed(self, nonzeros: Array, row: Array, z: Array | None = None) -> CompiledFactors | None:
         """By the kernel of collocation; None where there is none, and of a matrix that is singular, in sizes at z."""
         kernel = self._collocation
         if kernel is None:
             return None
         found = kernel.factors(nonzeros, row, *((None, 1.0) if z is None else self.problem.sizes_at(z)))
-        return None if found is None else CollocationFactors(kernel, *found)
+        return None if found is None else CompiledFactors(kernel, *found)
 
     def unchecked(self, nonzeros: Array, row: Array) -> Solve:
         """As `factor` of a matrix that may be nearly singular."""

@@ -21,14 +21,14 @@ from kernels import forget, needs_kernels, numpy_alone
 from lattices import plane
 from small_models import pendulums
 
-from casadi_skin import Branch, Chain, follow_family, native
+from casadi_skin import Branch, Chain, find_orbit, follow_family, native
 from casadi_skin.dynamics.evolution import equations_of_motion
 from casadi_skin.dynamics.evolve import evolve
 from casadi_skin.model import operations
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.optimise.kick_flow import ChainForce
-from casadi_skin.solve.bordered import BandFactors, BorderedSolver
+from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
 from casadi_skin.stability.closed_maps import Trivial, multipliers_along
 from casadi_skin.stability.flows import JacobianAlong, SplittingMap, srkn_step
 from casadi_skin.stability.full_period import interval_maps
@@ -138,7 +138,7 @@ def test_orders_solved_by_the_kernel_are_those_solved_one_by_one(sites: int) -> 
     z, row, slope = np.random.default_rng(sites).normal(size=(3, problem.size))
     z[problem.Omega_index] = 1.4
     solve = BorderedSolver(problem).factor(z, problem.evaluate(z)[1], row)
-    assert isinstance(solve, BandFactors)
+    assert isinstance(solve, CompiledFactors)
     series = TaylorRecursion(problem, PolynomialForm.of(chain.gauge_model()), 12).series
     found, plain = series(z, slope, solve), series(z, slope, lambda right: solve(right))
     sizes = np.max(np.abs(plain), axis=1, keepdims=True)
@@ -231,6 +231,29 @@ def test_derivatives_of_segments_are_those_of_casadi(without: bool) -> None:
             np.testing.assert_allclose(found[number][k], expected, rtol=0, atol=1e-13 * np.max(np.abs(expected)))
             if number < 2:
                 np.testing.assert_allclose(first[number][k], found[number][k], rtol=0, atol=1e-15)
+
+
+@needs_kernels
+def test_orbits_do_not_depend_on_the_kernels() -> None:
+    """The same bits on processors of all kinds, the same numbers by numpy and SuperLU but for rounding."""
+    x, v = ca.SX.sym("x"), ca.SX.sym("v")
+
+    def orbit() -> tuple[float, np.ndarray]:
+        model = OdeModel("van der Pol", ca.vertcat(x, v), ca.vertcat(v, (1.0 - x**2) * v - x))
+        found = find_orbit(model, lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)], 6.6)
+        return found.period, found.floquet().multipliers
+
+    period, multipliers = orbit()
+    for numbers in (2, 4, 8):
+        if numbers <= ctypes.CDLL(str(native.LIBRARY)).numbers_together():
+            with library_for(numbers):
+                other, others = orbit()
+            assert other == period
+            np.testing.assert_array_equal(others, multipliers)
+    with numpy_alone():
+        other, others = orbit()
+    assert other == pytest.approx(period, rel=1e-12)
+    np.testing.assert_allclose(others, multipliers, rtol=0, atol=1e-9)
 
 
 @contextmanager
