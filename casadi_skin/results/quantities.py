@@ -32,6 +32,7 @@ COUNTED_QUANTITIES = frozenset(  # marks, counts and words, which jump: no solut
      "undecided", "finite_size", "stability_sites", "overlaps")
 )  # fmt: skip
 PROFILE_PHASES = np.linspace(0.0, 1.0, 401)  # of the common grid of profiles of solutions
+SAME_STATE_RTOL = 1e-6  # of its range, within which a state comes back
 PLACES_PER_INTERVAL = 16  # places an interval in which extremes are looked for
 
 
@@ -436,14 +437,16 @@ def csv_row(columns: Sequence[Quantity], place: Place) -> dict[str, Cell]:
 def extremes(solution: Solution) -> tuple[Array, Array]:
     """Smallest and largest value of each state over the interval or the period.
 
-    The extremes of fine samples are moved to the vertex of the parabola through their neighbours and evaluated there.
+    The extremes of fine samples are moved to the vertex of the parabola through their neighbours and evaluated there;
+    states that come back after the period have neighbours across its end.
     """
     t = _fine_times(solution)
     x = solution.evaluate(t)
+    comes_back = solution.is_orbit & (np.abs(x[-1] - x[0]) <= SAME_STATE_RTOL * np.ptp(x, axis=0))
     found = []
     for sign in (-1.0, 1.0):
         place = np.argmax(sign * x, axis=0)
-        times = np.array([_vertex(t, x[:, i], k) for i, k in enumerate(place)])
+        times = np.array([_vertex(t, x[:, i], k, comes_back[i]) for i, k in enumerate(place)])
         moved = np.diagonal(solution.evaluate(times))
         found.append(sign * np.maximum(sign * moved, sign * np.diagonal(x[place])))
     return found[0], found[1]
@@ -461,10 +464,14 @@ def _fine_times(solution: Solution) -> Array:
     return np.unique(np.concatenate(whole))
 
 
-def _vertex(t: Array, x: Array, k: int) -> float:
-    """The vertex of the parabola through three samples; the sample itself at an end or on a line."""
+def _vertex(t: Array, x: Array, k: int, comes_back: bool) -> float:
+    """The vertex of the parabola through three samples; the sample itself on a line, or at an end of what goes on."""
     if k in (0, t.size - 1):
-        return float(t[k])
+        if not comes_back:
+            return float(t[k])
+        period = t[-1] - t[0]
+        vertex = _vertex(np.array([t[-2] - period, t[0], t[1]]), x[[-2, 0, 1]], 1, comes_back)
+        return vertex if vertex >= t[0] else vertex + period
     left, right = t[k - 1] - t[k], t[k + 1] - t[k]
     a, b = (x[k - 1] - x[k]) / left, (x[k + 1] - x[k]) / right
     curvature = (b - a) / (right - left)

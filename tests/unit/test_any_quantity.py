@@ -5,9 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from small_models import circles, wave
+from small_models import circles, van_der_pol, wave
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_equilibrium, find_orbit, follow_family
+from casadi_skin.results.quantities import extremes
 
 
 def symbols(names: str) -> list[ca.SX]:
@@ -22,6 +23,16 @@ def hardening() -> Branch:
         "hardening", y, -y - y**3, order=2, velocity=v, reversal=(1, -1), half_period=(-1, -1), hamiltonian=energy
     )
     return follow_family(model, mode=1, amplitude_max=2.0, tolerance=1e-10)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-3, -2e-3])
+def test_an_extreme_beside_the_end_of_the_period_is_as_accurate_as_others(shift: float) -> None:
+    """The smallest x of van der Pol's orbit is minus the largest one, wherever the period begins."""
+    model, orbit = van_der_pol(), find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6)
+    lowest = orbit.period * np.argmin(orbit.evaluate(np.linspace(0.0, orbit.period, 2001))[:, 0]) / 2000
+    moved = find_orbit(model, lambda t: orbit.evaluate((t + lowest + shift) % orbit.period), orbit.period)
+    low, high = extremes(moved)
+    assert abs(low[0] + high[0]) < 1e-8
 
 
 def test_a_family_is_found_at_an_energy() -> None:
