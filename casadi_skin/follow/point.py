@@ -321,8 +321,8 @@ class PointSolver:
             return None
         distance = self.distance(problem, guess, correction.z)
         allowed = self.settings.guard_distance * reach
-        if distance <= allowed:
-            return correction
+        if distance <= allowed:  # without factors that nobody needs: those of large systems take as much as all else
+            return correction if problem.own_tangent is not None else replace(correction, solve=None)
         if reach <= 0.0:
             self.failure = f"the next point lies behind the one before it ({problem.describe_parameters(guess)})"
             return None

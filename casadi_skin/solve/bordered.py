@@ -257,10 +257,9 @@ class BorderedSolver:
 
         Raises SingularError where the matrix is singular to working precision.
         """
-        if self._last is not None:
-            known, by, found = self._last
-            if np.array_equal(row, by) and (nonzeros is known or np.array_equal(nonzeros, known)):
-                return found
+        if self._last is not None and np.array_equal(row, self._last[1]) and np.array_equal(nonzeros, self._last[0]):
+            return self._last[2]
+        self._last = None  # the memory of its factors serves the next
         solve = self._factored(z, nonzeros, row)
         if self.problem.in_order:  # collocation, whose solution is corrected, refined and measured with one matrix
             self._last = nonzeros, row.copy(), solve

@@ -123,6 +123,7 @@ class NewtonCorrector(Corrector):
             try:
                 residual, nonzeros = self.problem.evaluate(z)
                 if solve is None or not reuse:
+                    solve = None  # its memory serves the next
                     solve = self._solver.factor(z, nonzeros, row)
             except SingularError as error:
                 return Correction(z, Status.SINGULAR, iteration, str(error))

@@ -22,6 +22,19 @@ def test_bratu_fold(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_reaction_diffusion(tmp_path: Path) -> None:
+    """Where the trace of the reaction with an eigenvalue of the second differences vanishes."""
+    cells, (A, B, D) = 60, (2.0, 5.45, 0.012)
+    branch = load("reaction_diffusion").main(tmp_path / "picture.png", cells)
+    assert drawn(tmp_path / "picture.png")
+    kappa = 4.0 * (cells + 1) ** 2 * np.sin(0.5 * np.pi * np.arange(1, 4) / (cells + 1)) ** 2
+    exact = np.sqrt(D * kappa / (B - 1.0 - A**2))
+    np.testing.assert_allclose([point.parameters["L"] for point in branch.special_points], exact, rtol=1e-10)
+    assert all(point.criticality == "supercritical" for point in branch.special_points)
+    assert branch.solutions[-1].unstable == 6
+
+
+@pytest.mark.slow
 def test_turning_orbits(tmp_path: Path) -> None:
     """Both sides of the separatrix end at E = 1; Melnikov's integral gives the junction's end, 4 c/pi for small c."""
     swings, turns, carries = load("turning_orbits").main(tmp_path / "picture.png")
