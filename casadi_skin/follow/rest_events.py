@@ -210,7 +210,7 @@ class Places:
 def leading_count(first: Leading, last: Leading) -> int:
     """How many eigenvalues matter between two points."""
     margin = min(first.margin, last.margin)
-    return min(max(first.needed(margin), last.needed(margin)), first.values.size, last.values.size)
+    return min(max(first.needed(margin), last.needed(margin), 1), first.values.size, last.values.size)
 
 
 def counted(equations: SolutionSpace, places: Places) -> Counts | None:

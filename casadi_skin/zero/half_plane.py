@@ -32,8 +32,9 @@ from casadi_skin.zero.balanced import (
 )
 from casadi_skin.zero.problem import Array
 
-MARGIN_RATIO = 0.25  # of |X| + W: how far on the left of the axis eigenvalues are known at least
+MARGIN_RATIO = 0.25  # of |X| + W: how far on the left of the axis eigenvalues are known at the least
 FIRST_COUNT, MOST_EIGENVALUES, MOST_RESTARTS = 16, 120, 100  # of Arnoldi's method
+FEWEST = 6  # eigenvalues within the circle
 MOST_PLACES = 400  # on half of the circle
 SURE_TURN = 2.0  # bound of what g may turn between two places by eigenvalues outside: less than half a turn
 LEAST_PLACES, TRACE_PROBES = 5, 16
@@ -79,6 +80,7 @@ class HalfPlane:
         factors = _Shifted(B).factors(shift)
         values, right = _within(factors.solve, d.size, FIRST_COUNT, shift, WIDE_REACH * reach)
         apart = np.sort(np.abs(values - shift))
+        reach = max(reach, float(apart[FEWEST - 1]))
         least = np.maximum(np.append(0.0, apart[:-1]), reach)
         gap = int(np.argmax(np.where(least < WIDE_REACH * reach, apart / least, 0.0)))  # nothing is near the circle
         radius = float(np.sqrt(least[gap] * min(apart[gap], WIDE_REACH * least[gap])))
@@ -88,6 +90,7 @@ class HalfPlane:
             raise HalfPlaneError("left and right eigenvectors differ in number")
         order = np.lexsort((-values[inside].imag, -values[inside].real))
         right = right[:, inside][:, order]
+        margin = float(np.sqrt(radius**2 - height**2)) - shift
         try:
             dual = np.asarray(np.linalg.solve(left.T @ right, left.T), dtype=np.complex128)
         except np.linalg.LinAlgError as error:

@@ -204,3 +204,18 @@ def test_numbers_of_unstable_eigenvalues_are_those_of_all_of_them() -> None:
         )
         assert solution.unstable == np.count_nonzero(whole.real > 1e-9)
         assert solution.stable == (solution.unstable == 0)
+
+
+def test_a_large_system_of_second_order_buckles_where_the_closed_form_has_it() -> None:
+    """x_k'' = 20 (x_(k+1) - 2 x_k + x_(k-1)) - a x_k - x_k^3: the margin of the eigenvalues vanishes with a."""
+    n, a = 120, ca.SX.sym("a")
+    x, v = ca.SX.sym("x", n), ca.SX.sym("v", n)
+    wide = ca.vertcat(0.0, x, 0.0)
+    rhs = 20.0 * (wide[2:] - 2.0 * wide[1:-1] + wide[:-2]) - a * x - x**3
+    model = OdeModel("chain", x, rhs, a, order=2, velocity=v)
+    branch = find_equilibrium(model, np.zeros(n), parameters={"a": 1.0}).follow("a", -0.06)
+    exact = -80.0 * np.sin(0.5 * np.pi * np.arange(1, 3) / (n + 1)) ** 2
+    assert [point.kind for point in branch.special_points] == ["branch point", "branch point"]
+    np.testing.assert_allclose([point.parameters["a"] for point in branch.special_points], exact, rtol=1e-8)
+    assert branch.unresolved == ()
+    assert [solution.unstable for solution in (branch.solutions[0], branch.solutions[-1])] == [0, 2]
