@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
 SAME_EVENT = 1e-8  # of a stretch: events of one kind that near are one, of multipliers that a symmetry keeps together
 ASIDE_FRACTIONS = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
-FAR_DISTANCE = 4.0  # of the changes of a logarithm on a stretch and on that before: a distance that needs no rates
+FAR_DISTANCE = 6.0  # of the changes of a logarithm on a stretch and on that before: a distance that needs no rates
 CRITICAL_LOG_MODULUS = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
 SAME_MEETING = 1e-3  # of a stretch between two orbits: meetings of two pairs that near are looked at once
 PLACES_NEAR_MEETING = 3  # places near a meeting at which it is looked whether the pairs have left the circle
