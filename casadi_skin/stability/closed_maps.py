@@ -164,9 +164,9 @@ def _schur(maps: Array) -> Spectrum | None:
         logs = np.sum(np.log(diagonal), axis=0)
         gaps = logs[:-1] - logs[1:]
         open_at = _below(np.abs(start.T @ frame))  # a pair that turns has gaps as well, but no frame of its own
-        apart = (turn * gaps > CONVERGED_LOG_GAIN) & (open_at <= OPEN_FRAME_ATOL)
+        apart = ((turn - 1) * gaps > CONVERGED_LOG_GAIN) & (open_at <= OPEN_FRAME_ATOL)
         edges = [0, *(np.flatnonzero(apart) + 1).tolist(), n]
-        if turn > 1 and all(abs(logs[a] - logs[b - 1]) <= LOG_MODULUS_SPREAD for a, b in pairwise(edges)):
+        if all(abs(logs[a] - logs[b - 1]) <= LOG_MODULUS_SPREAD for a, b in pairwise(edges)):
             break
     blocks = []
     for a, b in pairwise(edges):

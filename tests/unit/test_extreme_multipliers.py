@@ -152,6 +152,17 @@ def decaying(exponents: list[float]) -> Orbit:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
+@pytest.mark.parametrize("gap", [21.0, 24.4, 30.0, 39.0, 45.0])
+def test_digits_of_a_block_do_not_depend_on_how_wide_the_gap_below_it_is(gap: float) -> None:
+    """Subspaces at the start have had one round less than those at the end: exp(-gap) was left of a second round."""
+    random, logs = np.random.default_rng(5), np.array([0.0, -2.6, -2.6 - gap, -120.0])
+    bases = random.normal(size=(24, 4, 4))
+    maps = np.roll(bases, -1, axis=0) @ (np.exp(logs / 24)[:, None] * np.linalg.inv(bases))
+    found = spectrum_of(maps)
+    assert found.extreme
+    np.testing.assert_allclose(found.logs, logs, atol=2e-12)
+
+
 def test_tables_have_logarithms_where_doubles_hold_no_multiplier() -> None:
     branch = decaying([800.0, -1.0]).follow("p", 1.0, max_step=0.5, stability=True, events=False)
     table = branch.to_dataframe()
