@@ -97,6 +97,9 @@ class _Turns(Search):
             return np.zeros(1)
         return np.asarray(rate(replace(ahead, tangent=tangent)) - here) / TANGENT_DIFFERENCE_STEP
 
+    def passes(self, ends: SampledStretch) -> bool:
+        return super().passes(ends) and not self._hides(ends)
+
     def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
         ends = self.own(stretch.first.point), stretch.last.point
         one, other = map(rate, ends)
@@ -111,12 +114,13 @@ class _Turns(Search):
 
         It is the integral of its rate, and so sees a dip of the rate that the rates at the samples do not.
         """
-        if len(stretch.samples) < 3:
-            return False
-        first, middle, last = (sample.point for sample in stretch.samples)
-        expected, index = stretch.curve.at(float(stretch.sigma[1])), last.problem.parameter_index
-        off = abs(expected[index] - middle.z[index]) / stretch.length
-        return bool(off > HIDDEN_TURN_RATIO * min(abs(rate(point)) for point in (first, middle, last)))
+        points = [sample.point for sample in stretch.samples]
+        index, length = points[0].problem.parameter_index, stretch.length
+        if len(points) == 2:
+            off = 0.5 * abs(stretch.curve.coefficients[-1, index]) * length**2
+        else:
+            off = abs(stretch.curve.at(float(stretch.sigma[1]))[index] - points[1].z[index]) / length
+        return bool(off > HIDDEN_TURN_RATIO * min(abs(rate(point)) for point in points))
 
 
 @dataclass(frozen=True, eq=False)
