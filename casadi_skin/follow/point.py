@@ -189,7 +189,6 @@ MOST_FAILED_HALVINGS = (
 )
 MEANINGFUL_ERROR = 1e-3
 ASYMPTOTIC_ERROR = 1e-2  # relative error below which the gain of finer levels is foreseen
-FINE_RESOLUTION = 100  # from which the corrector's rest is taken away before a finer level is tried
 TURNED_TANGENT = (
     1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
 )
@@ -416,7 +415,8 @@ class PointSolver:
             if self._is_finished(point, relative):
                 return point
             left_over = (solve or self.factor(problem, z, row))(np.append(problem.evaluate(z)[0], 0.0))
-            algebraic = step_error(problem, z, left_over, held is Scalar.OMEGA).relative(point.Omega)
+            at_held = at_parameter(problem, z[None], left_over[None], tangent[None], np.array([held is None]))[0]
+            algebraic = step_error(problem, z, at_held, held is Scalar.OMEGA).relative(point.Omega)
             if polished and algebraic > 0.25 * relative:
                 return replace(point, at_round_off=True)
             if coarser is not None and 0.5 * coarser[0] < relative < ROUND_OFF:
@@ -426,8 +426,6 @@ class PointSolver:
             elif not placed and problem.expected_error(z, relative, problem) <= self.settings.tolerance:
                 polished, placed, target = False, True, problem.placed(z, problem)
                 guess = problem.prolong(z, target)
-            elif not polished and self._left_at_parameter(point, left_over, held) > 0.25 * relative:  # as near a limit
-                polished, target, guess = True, problem, z - left_over
             else:
                 climbed.append((problem.resolution, relative))
                 _check_gain(climbed, point)
@@ -442,17 +440,6 @@ class PointSolver:
             if not correction.converged:
                 raise SingularError(f"{correction.status.value} {correction.message}".strip())
             problem, z, iterations, known = target, correction.z, iterations + correction.iterations, None
-
-    def _left_at_parameter(self, point: Point, left_over: Array, held: Scalar | None) -> float:
-        """The error that a step across the branch makes up for where the parameter is held, as errors are measured.
-
-        On fine levels alone: on coarse ones the next costs little.
-        """
-        problem, free = point.problem, np.array([held is None])
-        if problem.resolution < FINE_RESOLUTION:
-            return 0.0
-        step = at_parameter(problem, point.z[None], left_over[None], point.tangent[None], free)[0]
-        return step_error(problem, point.z, step, held is Scalar.OMEGA).relative(point.Omega)
 
     def _is_finished(self, point: Point, relative: float) -> bool:
         """Whether nothing is to be done about an error."""
