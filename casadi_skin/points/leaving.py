@@ -135,7 +135,7 @@ def born_at(
     method, periodic = boundary_method({"corrector": "newton"}), Periodic(model, model, SymmetryClass.FULL)
     space = BoundarySpace(
         statement, tolerance, method, sizes, periodic,
-        parameter=parameter, to=to, at=at, settings=settings, leaves=True,
+        parameter=parameter, to=to, at=at, settings=replace(settings, tolerance=tolerance), leaves=True,
     )  # fmt: skip
     problem = stated(space.levels.problem(FIRST_INTERVALS))
     free = [{**problem.statement.values, PERIOD: period}[name] for name in problem.statement.free]
