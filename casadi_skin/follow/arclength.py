@@ -105,7 +105,7 @@ class ArclengthContinuation(Continuation):
 
     def _advance(self, current: Point) -> Point | None:
         """The next point of the walk; None with `end` set where there is none."""
-        lighter = self.point_solver.lighter(current)
+        lighter = self.point_solver.lighter(current, self.history[-2] if len(self.history) > 1 else None)
         departure = self._departure(current, lighter)
         coarser = lighter is not current.problem and self.settings.rounds_corners
         if coarser and shifts(self.point_solver, current, departure.side, current.step):
@@ -157,7 +157,7 @@ class ArclengthContinuation(Continuation):
         correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, step)
         if correction is None:
             return None
-        solve = self.point_solver.factor(problem, correction.z, row)
+        solve = self.point_solver.factors(problem, correction, row)
         tangent = self.point_solver.tangent(problem, correction.z, solve)
         angle = departure.angle(tangent) / departure.turning
         if max(angle, departure.angle(correction.z - departure.z) / departure.turning) > self.settings.guard_angle:

@@ -277,9 +277,12 @@ class BoundarySpace(ParameterSpace):
             problem.faint = faint
             return problem
 
-        return Levels(
-            build, self._corrector, tuple(sorted({*MESH_INTERVALS, int(self.method.intervals or FIRST_INTERVALS)}))
-        )
+        first = int(self.method.intervals or FIRST_INTERVALS)
+        least = (
+            0 if self.periodic is None else min(first, FIRST_INTERVALS)
+        )  # beside a Hopf point multipliers are 1 but for the square of the size
+        above = [intervals for intervals in MESH_INTERVALS if intervals >= least]
+        return Levels(build, self._corrector, tuple(sorted({*above, first})))
 
     def refined(self, problem: BoundaryProblem, correction: Correction) -> Point:
         """The solution of a correction on a mesh that meets the tolerance, with u held; raises BoundaryError."""
@@ -489,6 +492,7 @@ class BoundarySpace(ParameterSpace):
             return Closed.by(self.closure, stated(point.problem), point.z).moves_freely
         return PERIOD in self.statement.free
 
+    @of_last_points
     def _better(self, point: Point) -> Refinement | None:
         """The solution of a point on a finer mesh; None where the equations are singular there, or no mesh is finer."""
         problem, known = point.problem, point.better

@@ -183,6 +183,9 @@ ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
 COARSENING_ERROR_RATIO = (
     0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
 )
+NEXT_ERROR_RATIO = 0.5  # of the tolerance: the error expected of the next point
+MOST_ERROR_GROWTH = 10.0  # of errors from one point to the next
+ROUNDED_ERROR_FACTOR = 4.0  # times the part by rounding: an error beyond which finer meshes lessen it
 START_ERROR = 1e-4  # of the linear mode where a walk starts
 MOST_FAILED_HALVINGS = (
     4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
@@ -196,6 +199,10 @@ BESIDE_TARGET_REACH = 1e-3  # reach of a correction to a target that the point m
 
 
 KEPT_STRETCHES = 6  # whose starts are kept in the unknowns of their ends
+TANGENT_RTOL = (
+    1e-14  # of a tangent: what factors of a Jacobian nearby may leave of it; folds are where its rate is zero
+)
+SLOWEST_TANGENT = 0.3  # of a step towards the tangent with these: a next one that is longer needs new factors
 STACKED_UNKNOWNS = 1000  # unknowns up to which arrays over several states stay in the cache of a core
 
 
@@ -255,18 +262,34 @@ class PointSolver:
 
     def distance(self, problem: Problem, z: Array, other: Array) -> float:
         """Distance of two states in the metric at the first one."""
-        return float(np.sqrt(np.sum(self.metric(problem, z) * (other - z) ** 2)))
+        return float(np.sqrt(self.metric(problem, z) @ (other - z) ** 2))
 
     def factor(self, problem: Problem, z: Array, row: Array) -> Solve:
         """Solver of the Jacobian at z closed by `row`; raises SingularError."""
         return self.levels.solver(problem).factor(z, problem.evaluate(z)[1], row)
 
+    def factors(self, problem: Problem, correction: Correction, row: Array) -> Solve:
+        """The corrector's factors of a Jacobian next to the corrected point; those there where corners are sought."""
+        known = None if self.settings.rounds_corners else correction.solve
+        return known or self.factor(problem, correction.z, row)
+
     def tangent(self, problem: Problem, z: Array, solve: Solve) -> Array:
-        """Unit tangent at z with row . t > 0, by the solver closed by that row."""
-        unit = np.zeros(problem.size)
-        unit[-1] = 1.0
-        t = solve(unit)
-        return np.asarray(t / np.sqrt(np.sum(self.metric(problem, z) * t**2)))
+        """Unit tangent at z with row . t > 0, by the solver closed by that row; its factors may be from near z."""
+        weights, right = self.metric(problem, z), np.zeros(problem.size)
+        right[-1] = 1.0
+        t = solve(right)
+        size = before = float(np.sqrt(weights @ t**2))
+        right[-1] = 0.0
+        while problem.in_order:
+            right[:-1] = problem.applied(z, t)
+            change = solve(right)
+            t, off = t - change, float(np.sqrt(weights @ change**2))
+            if off**2 <= TANGENT_RTOL * before * size:
+                break
+            if not off <= SLOWEST_TANGENT * before:
+                return self.tangent(problem, z, self.factor(problem, z, weights * t))
+            before = off
+        return np.asarray(t / float(np.sqrt(weights @ t**2)))
 
     def start(self, positions: Array, Omega: float) -> Point:
         """The linear mode at zero amplitude with the tangent of its family; not walked.
@@ -320,8 +343,8 @@ class PointSolver:
             return None
         distance = self.distance(problem, guess, correction.z)
         allowed = self.settings.guard_distance * reach
-        if distance <= allowed:  # without factors that nobody needs: those of large systems take as much as all else
-            return correction if problem.own_tangent is not None else replace(correction, solve=None)
+        if distance <= allowed:  # factors from near a point serve where what they leave is made up for
+            return correction if problem.in_order else replace(correction, solve=None)
         if reach <= 0.0:
             self.failure = f"the next point lies behind the one before it ({problem.describe_parameters(guess)})"
             return None
@@ -407,7 +430,7 @@ class PointSolver:
                 return known[0]
             tangent, solve = problem.own_tangent, correction.solve
             if tangent is None:
-                solve = self.factor(problem, z, row)
+                solve = solve or self.factor(problem, z, row)
                 tangent = self.tangent(problem, z, solve) if known is None else known[0].tangent
             if known is None:
                 known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
@@ -454,13 +477,12 @@ class PointSolver:
         measured: Measured | None = None,
     ) -> tuple[Point, float]:
         """The point of a correction with its estimated error; and that relative, the larger of both."""
-        if measured is None and held is Scalar.PARAMETER and problem.own_tangent is not None:
-            measured = self.levels.near(problem, correction.z, self.settings.tolerance, correction.solve)
-        error, better = measured or self.levels.refined(problem, correction.z, tangent, held)
-        relative = error.relative(problem.frequency(correction.z))
+        z, allowed = correction.z, self.settings.tolerance
+        error, better = measured or self.levels.near(problem, z, allowed, correction.solve, tangent, held)
+        relative = error.relative(problem.frequency(z))
         at_round_off = self.settings.tolerance < relative <= error.round_off
         step, iterations = self.settings.first_step, correction.iterations
-        point = Point(problem, correction.z, tangent, error, step, iterations, better=better, at_round_off=at_round_off)
+        point = Point(problem, z, tangent, error, step, iterations, better=better, at_round_off=at_round_off)
         return point, relative
 
     def _closing(
@@ -473,10 +495,23 @@ class PointSolver:
             return np.asarray(target.row_of(held) * row[problem.index_of(held)])
         return np.asarray(self.metric(target, guess) * problem.prolong(tangent, target))
 
-    def lighter(self, point: Point) -> Problem:
-        """The problem of the next step from a point: on a coarser level where that is expected to suffice."""
-        allowed = COARSENING_ERROR_RATIO * self.settings.tolerance
-        return self.levels.lighter(point.problem, point.z, point.error.relative(point.Omega), allowed)
+    def lighter(self, point: Point, before: Point | None = None) -> Problem:
+        """The problem of the next step from a point: on a coarser level where that is expected to suffice.
+
+        Where errors grow since the point `before`, so that the next would not do, on a mesh for this point.
+        """
+        problem, tolerance, error = point.problem, self.settings.tolerance, point.error.relative(point.Omega)
+        if (
+            before is not None
+            and problem.in_order
+            and ROUNDED_ERROR_FACTOR * point.error.round_off < error < ASYMPTOTIC_ERROR
+        ):
+            known = before.problem.expected_error(before.z, before.error.relative(before.Omega), problem)
+            error *= min(max(error / known, 1.0), MOST_ERROR_GROWTH) if known > 0.0 else 1.0
+            better = self.levels.ahead(problem, point.z, error, NEXT_ERROR_RATIO * tolerance)
+            if better is not problem:
+                return better
+        return self.levels.lighter(problem, point.z, error, COARSENING_ERROR_RATIO * tolerance)
 
     # At a value of the parameter or of Omega, between two points -----------------------------------------------------
 
@@ -535,7 +570,7 @@ class PointSolver:
         if correction is None:
             return None
         try:
-            tangent = self.tangent(problem, correction.z, self.factor(problem, correction.z, row))
+            tangent = self.tangent(problem, correction.z, self.factors(problem, correction, row))
         except SingularError as error:
             self.failure = str(error)
             return None

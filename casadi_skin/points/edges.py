@@ -405,7 +405,7 @@ class EdgeProblem(Undiscretised):
     def pattern(self) -> tuple[Indices, Indices]:
         return np.tile(np.arange(2), 3), np.repeat(np.arange(3), 2)
 
-    def profile_change(self, z: Array, step: Array) -> float:
+    def profile_change(self, z: Array, step: Array, between: Array | None = None) -> float:
         return float(np.max(np.abs(step[:2])))
 
     def metric(self, z: Array, parameter_scale: float) -> Array:

@@ -44,15 +44,15 @@ def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = F
 class OnFiner:
     """States prolonged to the next level `problem`, (states, size), with a Newton step from each.
 
-    `response` gives the responses to residuals of the size of their rounding, where these are needed; `profiles` are
-    the changes of the states by the steps where they are known, between the unknowns too.
+    `response` gives the responses to residuals of the size of their rounding, where these are needed; `between` is what
+    the one state misses between its unknowns.
     """
 
     problem: Problem
     z: Array
     steps: Array
     response: Callable[[], Array]
-    profiles: Array | None = None
+    between: Array | None = None
 
 
 def estimated(
@@ -73,7 +73,7 @@ def estimated(
     Omega = np.array([problem.frequency(one) for one in z])
     steps = at_parameter(finer, long_z, on_finer.steps, along, free)
     moves = by_Omega | (free & (along is not None) & (steps[:, finer.parameter_index] != 0.0))
-    errors, floors = _step_errors(finer, long_z, steps, moves, on_finer.profiles), np.zeros(len(z))
+    errors, floors = _step_errors(finer, long_z, steps, moves, on_finer.between), np.zeros(len(z))
     errors[0] = np.maximum(errors[0], problem.round_off * Omega)
     near = _largest(errors, Omega) < NEAR_ROUND_OFF
     if near.any():  # the estimate is at least the rounding error, of the residual and of the constants
@@ -102,12 +102,14 @@ def at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None, 
 
 
 def _step_errors(
-    problem: Problem, z: Array, steps: Array, with_parameter: NDArray[np.bool_], profiles: Array | None = None
+    problem: Problem, z: Array, steps: Array, with_parameter: NDArray[np.bool_], between: Array | None = None
 ) -> Array:
     """As `step_error` of several states: errors of Omega, of the profile and of the parameter, shape (3, states)."""
     errors = np.zeros((3, len(z)))
     errors[0] = [abs(problem.frequency_step(*one)) for one in zip(z, steps, strict=True)]
-    errors[1] = problem.profile_changes(z, steps) if profiles is None else profiles
+    errors[1] = (
+        problem.profile_changes(z, steps) if between is None else problem.profile_change(z[0], steps[0], between)
+    )
     for i in np.flatnonzero(with_parameter).tolist():
         errors[2, i] = abs(steps[i, problem.parameter_index]) / problem.parameter_size(z[i])
     errors *= ERROR_SAFETY
@@ -148,7 +150,7 @@ class Levels:
         self._solvers: dict[int, BorderedSolver] = {}
         self._correctors: dict[int, Corrector] = {}
         self._last: tuple[Problem, Array, Scalar, Measured] | None = None
-        self._seen: tuple[Problem, Array, Measured | None] | None = None
+        self._seen: tuple[Problem, Scalar | None, Array, Measured | None] | None = None
 
     def problem(self, resolution: int) -> Problem:
         """The problem at a resolution."""
@@ -197,39 +199,67 @@ class Levels:
             found = coarser
         return problem if found is problem else problem.placed(z, found)
 
+    def ahead(self, problem: Problem, z: Array, error: float, allowed: float) -> Problem:
+        """The coarsest level from that of z on whose unknowns, placed for z, give an error expected below `allowed`.
+
+        `error` is what is expected on `problem`, as it is.
+        """
+        if error <= allowed or not problem.in_order:
+            return problem
+        for resolution in [r for r in self.resolutions[:-1] if r >= problem.resolution]:
+            other = self.problem(resolution)
+            if problem.expected_error(z, error, other) <= allowed:
+                return problem.placed(z, other)
+        return problem
+
     def error(self, problem: Problem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
         """Error of z, from `refined`; infinite at the top of the levels. Raises SingularError."""
         return self.refined(problem, z, tangent)[0]
 
-    def near(self, problem: Problem, z: Array, enough: float, solve: Solve | None = None) -> Measured:
-        """As `refined` where only the free parameter can be held, on z's own mesh where its error is below `enough`.
+    def near(
+        self, problem: Problem, z: Array, enough: float, solve: Solve | None = None,
+        tangent: Array | None = None, held: Scalar | None = Scalar.PARAMETER,
+    ) -> Measured:  # fmt: skip
+        """As `refined`, on z's own mesh where its error is below `enough`.
 
         There the defect of z gives a better solution by one solve with the factors at hand. In stiff problems it is
         found larger than it is: then, and where it is `enough` or more, a finer level decides. `solve` has the factors
-        of a Jacobian near z closed by the row of the free parameter. Raises SingularError.
+        of a Jacobian near z closed by the row of what is held, or by any across the branch. Raises SingularError.
         """
-        if problem.own_tangent is not None:
-            if self._seen is None or self._seen[0] is not problem or not np.array_equal(self._seen[1], z):
-                self._seen = problem, z, self._by_defect(problem, z, solve)
-            found = self._seen[2]
-            if found is not None and found[0].relative(problem.frequency(z)) <= enough:
-                return found
-        return self.refined(problem, z, problem.own_tangent, Scalar.PARAMETER)
+        if (
+            self._seen is None
+            or self._seen[0] is not problem
+            or self._seen[1] is not held
+            or not np.array_equal(self._seen[2], z)
+        ):
+            self._seen = problem, held, z, self._by_defect(problem, z, solve, tangent, held)
+        found = self._seen[3]
+        if found is not None and found[0].relative(problem.frequency(z)) <= enough:
+            return found
+        return self.refined(problem, z, tangent, held)
 
-    def _by_defect(self, problem: Problem, z: Array, solve: Solve | None) -> Measured | None:
+    def _by_defect(
+        self, problem: Problem, z: Array, solve: Solve | None, tangent: Array | None, held: Scalar | None
+    ) -> Measured | None:
         """The error of z and the better solution in the same unknowns; None where there is none."""
-        row, (_, nonzeros) = problem.parameter_row(), problem.evaluate(z)
-        solve = solve or self.solver(problem).factor(z, nonzeros, row)
+        index, along = problem.parameter_index, None if held is not None else tangent
+        if solve is None:
+            row = problem.row_of(held or Scalar.PARAMETER) if along is None else problem.metric(z, 1.0) * along
+            solve = self.solver(problem).factor(z, problem.evaluate(z)[1], row)
         improved = problem.improvement(z, solve)
         if improved is None:
             return None
-        step, size = improved
+        step, between = improved
+        if along is not None and not abs(along[index]) > FOLD_TANGENT_RATIO * problem.parameter_size(z):
+            weights = problem.metric(z, 1.0)
+            step = step - along * (float(weights @ (along * step)) / float(weights @ along**2))
 
         def response() -> Array:
             return solve(np.append(problem.rounding(z) * problem.probe, 0.0))[None]
 
-        better = OnFiner(problem, z[None], step[None], response, np.array([size]))
-        return estimated(problem, z[None], better, None, None, [Scalar.PARAMETER])[0]
+        better = OnFiner(problem, z[None], step[None], response, between)
+        ways, tangents = (None if one is None else one[None] for one in (along, tangent))
+        return estimated(problem, z[None], better, tangents, ways, [held])[0]
 
     def refined(self, problem: Problem, z: Array, tangent: Array | None = None, held: Scalar | None = None) -> Measured:
         """Error of z and the better orbit that shows it: one Newton step on the next finer level, from z prolonged.

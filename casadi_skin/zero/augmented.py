@@ -277,7 +277,7 @@ class SingularProblem(Augmented, BoundaryProblem):
     def expected_error(self, z: Array, error: float, other: Problem) -> float:
         return np.inf if self.rests(z) else super().expected_error(z, error, other)
 
-    def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array] | None:
         return None
 
     def border(self, z: Array, nonzeros: Array | None = None) -> Border:

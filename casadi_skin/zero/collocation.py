@@ -25,11 +25,10 @@ from casadi_skin.model.conserved import SymmetryClass, pinned_components, unfold
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.discretisation import Discretisation, Formulation, missed
-from casadi_skin.zero.problem import Array, Indices, OrbitProblem, Other, Problem, Solve, sparse_matrix
+from casadi_skin.zero.discretisation import Discretisation, Formulation
+from casadi_skin.zero.problem import Array, Indices, OrbitProblem, Other, Problem, sparse_matrix
 
 NO_VALUES: Array = np.zeros(0)
-NEARBY_FACTORS_RATIO = 0.1  # of a step: the largest part that factors of another Jacobian may have left
 FEW_PLACES = 2_000  # places whose weights are kept for the next solution on the same mesh
 MESH_NOISE = 4.0 * float(np.finfo(float).eps)  # of a state value, relative to the largest
 
@@ -190,29 +189,6 @@ class CollocationEquations(Problem):
         if same and self.table is finer.table:
             return z
         return np.concatenate([self._interpolate(z, finer._fractions()).ravel(), z[self.states :]])
-
-    def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:
-        """The step to the solution of a method of twice as many stages, and its largest part, between stages too."""
-        residual, nonzeros = self.evaluate(z)
-        left, between = missed(self.discretisation, z, self.numbers)
-        right = np.append(residual + left, 0.0)
-        step = solve(right)
-        rows, columns = self.pattern  # factors of a Jacobian nearby leave the part by which that differs
-        right[:-1] -= np.bincount(rows, nonzeros * step[columns], self.size - 1)
-        right[-1] = 0.0
-        more = solve(right)
-        sizes = self._component_sizes(z[: self.states].reshape(self.columns, -1))
-        largest, rest = self._largest(step + more, between, sizes), self._largest(more, None, sizes)
-        return (step + more, largest) if rest <= NEARBY_FACTORS_RATIO * largest else None
-
-    def _largest(self, step: Array, between: Array | None, sizes: Array) -> float:
-        """The largest part of a step of the states, relative to their sizes, with what is `between` stages as well."""
-        moves = step[: self.states].reshape(self.columns, -1)
-        if between is not None:
-            columns = np.arange(self.resolution)[:, None] * self.table.ends.size + np.arange(self.degree + 1)
-            inner = (self.table.defect.values @ moves[columns]).reshape(between.shape) - between
-            moves = np.concatenate([moves, inner])
-        return float(np.max(np.max(np.abs(moves), axis=0) / sizes))
 
     def left_by(self, finer: CollocationEquations) -> float:
         """The part of the error at ends of intervals that a finer mesh leaves: it falls faster there."""

@@ -121,8 +121,8 @@ class Problem(ABC):
         """The same of several solutions, shape (states, size)."""
         return np.stack([self.prolong(one, finer) for one in z])
 
-    def profile_change(self, z: Array, step: Array) -> float:
-        """Change of the state in a step from z, relative to its size."""
+    def profile_change(self, z: Array, step: Array, between: Array | None = None) -> float:
+        """Change of the state in a step from z, relative to its size; with what it misses `between` as well."""
         return float(self.profile_changes(z[None], step[None])[0])
 
     def profile_changes(self, z: Array, steps: Array) -> Array:
@@ -232,6 +232,11 @@ class Problem(ABC):
         residual, nonzeros = self._values(z, self.numbers)
         return residual.copy(), nonzeros.copy()
 
+    def applied(self, z: Array, step: Array) -> Array:
+        """The Jacobian at z times a step, shape (size - 1,)."""
+        rows, columns = self.pattern
+        return np.asarray(np.bincount(rows, self.evaluate(z)[1] * step[columns], self.size - 1), dtype=float)
+
     def evaluate_all(self, z: Array) -> tuple[Array, Array]:
         """The same at several states (states, size): shapes (states, size - 1) and (states, non-zeros)."""
         residuals, nonzeros = zip(*(self.evaluate(one) for one in z), strict=True)
@@ -307,8 +312,8 @@ class Problem(ABC):
         """Relative error to expect of the solution z on `other`, no finer, once placed for z; from its `error` here."""
         return np.inf
 
-    def improvement(self, z: Array, solve: Solve) -> tuple[Array, float] | None:
-        """A step to a better solution in the same unknowns, and the change of the state by it, relative to its size.
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array] | None:
+        """A step to a better solution in the same unknowns, and what the solution misses between these.
 
         None where this discretisation has no such step of its own; `solve` has the factors of a closed Jacobian near z.
         """

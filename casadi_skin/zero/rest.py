@@ -417,7 +417,7 @@ class AlgebraicProblem(Undiscretised):
         """All parameters by name."""
         return dict(zip(self.statics.values, map(float, self.parameters(z)), strict=True))
 
-    def profile_change(self, z: Array, step: Array) -> float:
+    def profile_change(self, z: Array, step: Array, between: Array | None = None) -> float:
         n = self.statics.size
         return float(np.max(np.abs(step[:n]) / np.maximum(np.abs(z[:n]), SMALLEST_COMPONENT_RATIO)))
 

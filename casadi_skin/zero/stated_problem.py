@@ -19,8 +19,8 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.balanced import Faint
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.collocation import CollocationEquations
-from casadi_skin.zero.discretisation import Formulation
-from casadi_skin.zero.problem import Array, Problem, Scalar
+from casadi_skin.zero.discretisation import Formulation, missed
+from casadi_skin.zero.problem import Array, Problem, Scalar, Solve
 from casadi_skin.zero.statement import Statement
 
 LAYER_SPEED_RATIO = 20.0  # of mean speed: Lorenz' cycles and those of an explosive reaction have 15, canards 22 to 160
@@ -28,6 +28,7 @@ LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 COMPONENT_FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
 ZERO_SOLUTION_SIZE = 1e-12  # solutions smaller than this, found from zeros, are measured by 1
+NEARBY_FACTORS_RATIO = 0.1  # of a step: the largest part that factors of another Jacobian may have left
 # Of what moves a component, of the largest one where its guess is zero: smaller ones are measured by that.
 SMALLEST_COMPONENT_RATIO = 1e-6
 
@@ -120,9 +121,25 @@ class BoundaryProblem(CollocationEquations):
         free = slice(self.states, self.size - 1)
         return float(np.max(np.abs(step[free]) / self._scalar_sizes(z), initial=0.0))
 
-    def profile_change(self, z: Array, step: Array) -> float:
-        move, values = (v[: self.states].reshape(self.columns, -1) for v in (step, z))
-        return float(np.max(np.abs(move) / self._component_sizes(values)))
+    def profile_change(self, z: Array, step: Array, between: Array | None = None) -> float:
+        moves, values = (v[: self.states].reshape(self.columns, -1) for v in (step, z))
+        largest = _largest(moves)
+        if between is not None:
+            columns = self.discretisation.structure.start[:, None] + np.arange(self.degree + 1)
+            inner = (self.table.defect.values @ moves[columns]).reshape(between.shape) - between
+            largest = np.maximum(largest, _largest(inner))
+        return float(np.max(largest / self._component_sizes(values)))
+
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array] | None:
+        """The step to the solution of a method of twice as many stages, and what z misses between its own stages."""
+        left, between = missed(self.discretisation, z, self.numbers)
+        right = np.append(self.evaluate(z)[0] + left, 0.0)
+        step = solve(right)
+        right[:-1] -= self.applied(z, step)  # factors of a Jacobian nearby leave the part by which that differs
+        more = solve(right)
+        step = step + more
+        largest, rest = (self.profile_change(z, *one) for one in ((step, between), (more,)))
+        return (step, between) if rest <= NEARBY_FACTORS_RATIO * largest else None
 
     def _component_sizes(self, values: Array) -> Array:
         own = np.maximum(_largest(values), self.floors)

@@ -6,9 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin import BoundaryValueProblem, OdeModel
+from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit
+from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.butcher import gauss_table, radau_table
 from casadi_skin.zero.discretisation import missed
 
@@ -45,7 +47,8 @@ def improvement(found: Solution, away: float = 0.0) -> tuple[np.ndarray, float] 
     there = z.copy()
     there[problem.states] += away
     solve = BorderedSolver(problem).factor(there, problem.evaluate(there)[1], problem.parameter_row())
-    return problem.improvement(z, solve)
+    improved = problem.improvement(z, solve)
+    return None if improved is None else (improved[0], problem.profile_change(z, *improved))
 
 
 @pytest.mark.parametrize("state", [oscillator, growth])
@@ -110,3 +113,58 @@ def test_rounding_of_the_defect_does_not_grow_with_the_number_of_intervals() -> 
     found = stated.solve([1000.0, 1.0], tolerance=1e-8, intervals=200)
     left, _ = missed(found.problem.discretisation, found.point.z, found.problem.numbers)
     assert np.all(left[: found.problem.states - 2].reshape(-1, 2)[:, 0] == 0.0)
+
+
+# Along branches: the error that is reported beside that of the same orbit on a mesh four times finer -----------------
+
+
+def van_der_pol(**method: object) -> Branch:
+    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, p * (1 - x**2) * y - x), p)
+    guess = lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)]  # noqa: E731
+    return find_orbit(model, guess, 6.6, parameters={"p": 1.0}, **method).follow("p", 8.0)
+
+
+def duffing(**method: object) -> Branch:
+    rate = -0.1 * y - x - x**3 + 0.5 * ca.cos(p * t)
+    model = OdeModel("Duffing", ca.vertcat(x, y), ca.vertcat(y, rate), p, time=t, forcing_period=2 * ca.pi / p)
+    guess = lambda t: [0.6 * np.cos(0.5 * t), -0.3 * np.sin(0.5 * t)]  # noqa: E731
+    return find_orbit(model, guess, parameters={"p": 0.5}, **method).follow("p", 1.2)
+
+
+def brusselator(tolerance: float) -> Branch:
+    model = OdeModel("Brusselator", ca.vertcat(x, y), ca.vertcat(1 + x**2 * y - (p + 1) * x, p * x - x**2 * y), p)
+    rests = find_equilibrium(model, [1.0, 1.5], parameters={"p": 1.5}).follow("p", 3.0)
+    (hopf,) = (point for point in rests.special_points if point.kind == "hopf")
+    return hopf.follow("p", 4.0, tolerance=tolerance)
+
+
+def ratios(branch: Branch) -> list[float]:
+    """Errors by true ones of some orbits whose parameter changes along the branch."""
+    found = []
+    for solution in branch.solutions[1 :: max(1, len(branch.solutions) // 6)]:
+        point = solution.point
+        problem, z, K = point.problem, point.z, point.problem.resolution
+        fine = branch.space.levels._build(4 * K).with_constants(np.repeat(problem.constants / 4.0, 4))
+        guess, row = problem.prolong(z, fine), fine.parameter_row()
+        off = NewtonCorrector(fine, 1e-13).correct(guess, row, float(row @ guess)).z - guess
+        true = max(fine.frequency_step(guess, off), fine.profile_change(guess, off))
+        found.append(point.error.relative(1.0) / true)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9])
+@pytest.mark.parametrize("along", [van_der_pol, duffing, brusselator])
+def test_errors_along_branches_are_twice_the_true_ones(along, tolerance: float) -> None:  # type: ignore[no-untyped-def]
+    found = ratios(along(tolerance=tolerance))
+    assert min(found) > 1.5
+    assert 1.9 < np.median(found) < 2.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("transcription", "degree"), [("gauss", 3), ("radau", 4)])
+def test_errors_along_branches_by_other_methods(transcription: str, degree: int) -> None:
+    for along in (van_der_pol, duffing):
+        found = ratios(along(tolerance=1e-6, transcription=transcription, degree=degree))
+        assert min(found) > 1.0
+        assert np.median(found) < 4.0
