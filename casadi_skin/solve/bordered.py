@@ -107,9 +107,8 @@ SINGULAR_GROWTH = 1e12  # growth of residuals, in units of both (`Problem.units_
 MOST_STATES = 30  # of collocation whose blocks are taken for dense; of rings, SuperLU takes 1.5 times as long at 30
 LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
 DENSE_UNKNOWNS = 24  # up to which dense factors take less time than sparse ones, measured
-MOST_ORDERED = (
-    200  # states: blocks between ends of intervals of more fill the factors, in another order 2 to 10 times less
-)
+# States: blocks between ends of intervals of more fill the factors, in another order 2 to 10 times less.
+MOST_ORDERED = 200
 ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
 

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.newton import Correction, Corrector, HeldState, NewtonCorrector, Status
+from casadi_skin.solve.newton import Correction, Corrector, HeldState, NewtonCorrector, ReturningCorrector, Status
 from casadi_skin.solve.watch import check_time_limit, is_over
 from casadi_skin.zero.problem import Array, Problem
 
@@ -291,9 +291,8 @@ class IpoptCorrector(Corrector):
 # Newton's method first; Ipopt where it fails, and as arbiter of reported results --------------------------------------
 
 NEWTON_STEPS = 10  # of Newton's method, before Ipopt is called
-STEP_SHRINKAGE = (
-    0.5  # of each step to the next at least: the solution is within two steps of the guess then (Kantorovich)
-)
+# Of each step to the next at least: the solution is within two steps of the guess then (Kantorovich).
+STEP_SHRINKAGE = 0.5
 LOWER_STEPS = 30  # of Newton's method with smaller residuals at each
 AGREED_TOLERANCES = 10.0  # tolerances within which Ipopt's solution is the same as that of Newton's method
 
@@ -307,7 +306,7 @@ class ArbitratedCorrector(Corrector):
         always: whether Ipopt is called for every verdict; else where a solution does not meet its test as it is.
         far: whether the solution may be far from its guess. Newton's steps, of any length, are then taken where Ipopt
             takes them too, as long as the residuals decrease, with factors that cost less than its own in long systems;
-            and where Ipopt finds none, as in stiff problems.
+            then those to an orbit that attracts; and where Ipopt finds none, as in stiff problems.
     """
 
     confirms = True
@@ -335,12 +334,11 @@ class ArbitratedCorrector(Corrector):
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         near = NewtonCorrector(self.problem, self.tolerance, NEWTON_STEPS, STEP_SHRINKAGE)
-        found = near.correct(guess, row, value)
-        if not found.converged and self._far:
-            decreasing = NewtonCorrector(self.problem, self.tolerance, LOWER_STEPS, decreasing=True)
-            found = decreasing.correct(guess, row, value)
-        if found.converged:
-            return found
+        decreasing = NewtonCorrector(self.problem, self.tolerance, LOWER_STEPS, decreasing=True)
+        for way in (near, decreasing, ReturningCorrector(self.problem, near)) if self._far else (near,):
+            found = way.correct(guess, row, value)
+            if found.converged:
+                return found
         found = self._ipopt(not np.any(row[: self.problem.states])).correct(guess, row, value)
         if found.converged or not self._far:
             return found

@@ -82,12 +82,10 @@ class Corrector(ABC):
 
 
 CHORD_STEP = 1e-3  # step, relative to the state, after which the factors at hand serve the next: they cost the most
-FAST_STEP_RATIO = (
-    0.05  # of the step before: after a shorter one with new factors these shrink the next by about 2 FAST_STEP_RATIO^2
-)
-CHORD_SAFETY = (
-    100.0  # times the error that the last two steps with old factors foresee: places on branches want more digits
-)
+# Of the step before: after a shorter one with new factors these shrink the next by about 2 FAST_STEP_RATIO^2.
+FAST_STEP_RATIO = 0.05
+# Times the error that the last two steps with old factors foresee: places on branches want more digits.
+CHORD_SAFETY = 100.0
 SLOW_STEP_RATIO = 0.1  # of the step before: a longer one with old factors needs new ones
 LEAST_DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
 NEGLIGIBLE_STEP = 1e-3  # of the tolerance: such a step need not be taken
@@ -166,6 +164,55 @@ class NewtonCorrector(Corrector):
             return np.inf
 
 
+# Newton's method from far off an orbit that attracts ------------------------------------------------------------------
+
+MOST_RETURNS = 40  # steps
+RETURN_STEP = 0.1  # wanted length of a step, of the size of each component; twice as long it is taken back
+RETURN_RATES = 1e-3, 30.0  # of holding the start: below the first one short steps are Newton's, above the other no way
+SHORT_RETURN, LEAST_RATE_RATIO, RATE_GROWTH = 1e-2, 0.1, 4.0
+
+
+class ReturningCorrector(Corrector):
+    """Newton's method on an orbit whose start is held back: x(end) - x(start) = rate times the step of x(start).
+
+    These are implicit Euler steps along the map over a period, 1/rate periods long, which lead to an orbit that
+    attracts (pseudo-transient continuation, Kelley and Keyes 1998): from waves of oscillators whose phases hardly act
+    on each other the equations are nearly singular, and steps with smaller residuals end between orbits. The rate
+    follows the length of the steps down; the last ones are Newton's.
+    """
+
+    def __init__(self, problem: Problem, last: NewtonCorrector) -> None:
+        self.problem, self._last = problem, last
+
+    def _closing(self) -> Array:
+        """1 for non-zeros that are derivatives by the start of conditions that close an orbit, and 0 for others."""
+        problem, (rows, columns) = self.problem, self.problem.pattern
+        if not isinstance(problem, BoundaryProblem) or problem.statement.free != ("period",) or problem.walking:
+            return np.zeros(rows.size)
+        first, places = problem.states - problem.formulation.states, rows * 2 * problem.size + columns
+        # Conditions with a derivative by the same component at the end.
+        return np.asarray((rows >= first) & np.isin(places + first, places[columns < problem.states]), dtype=float)
+
+    def correct(self, guess: Array, row: Array, value: float) -> Correction:
+        z, rate, held, solver = guess.copy(), 1.0, self._closing(), BorderedSolver.of(self.problem)
+        for iteration in range(1, MOST_RETURNS + 1 if held.any() else 1):
+            check_time_limit(f"step {iteration} to an orbit that attracts, {self.problem.size} unknowns")
+            try:
+                residual, nonzeros = self.problem.evaluate(z)
+                step = solver.factor(z, nonzeros * (1.0 + rate * held), row)(np.append(residual, row @ z - value))
+            except (ArithmeticError, SingularError):
+                break
+            length = float(np.sqrt(np.sum(self.problem.metric(z, 1.0) * step**2) / np.sum(held)))
+            taken = length <= 2.0 * RETURN_STEP
+            z = z - step if taken else z
+            if length <= SHORT_RETURN and rate <= RETURN_RATES[0]:
+                return self._last.correct(z, row, value)
+            rate *= max(LEAST_RATE_RATIO, length / RETURN_STEP) if taken else RATE_GROWTH
+            if not rate <= RETURN_RATES[1]:
+                break
+        return Correction(guess, Status.DIVERGED, MOST_RETURNS)
+
+
 # A corrector that takes residuals of the size of their rounding for converged -----------------------------------------
 
 TO_ROUNDING = "to rounding"
@@ -213,9 +260,8 @@ class RoundedCorrector(Corrector):
 
 # Equations that cannot be solved: the conditions that repeat or contradict each other, and the open unknowns ----------
 
-ZERO_SINGULAR_VALUE = (
-    1e-6  # smallest singular value of the scaled matrix that counts as zero: solvers stop near such points
-)
+# Smallest singular value of the scaled matrix that counts as zero: solvers stop near such points.
+ZERO_SINGULAR_VALUE = 1e-6
 PERTURBATION_RTOL = 1e-13
 ITERATION_ROUNDS = 4
 ADDED_PARAMETERS = ("period", UNFOLDING)  # parameters that are not the model's

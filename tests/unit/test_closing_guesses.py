@@ -64,12 +64,12 @@ def test_other_guesses_stay_as_they_are(guess: Any, period: float) -> None:
     assert over_its_own_period(guess, NAMES, period, ZERO) is guess
 
 
-def ring(units: int) -> tuple[OdeModel, Callable[[float], Any]]:
+def ring(units: int, stiffness: Any = 1.0, turns: int = 1) -> tuple[OdeModel, Callable[[float], Any]]:
     """Van der Pol oscillators in a ring, and a wave of cosines around it."""
     x, y = ca.SX.sym("x", units), ca.SX.sym("y", units)
     beside = ca.vertcat(x[-1], x[:-1]) + ca.vertcat(x[1:], x[0]) - 2 * x
-    model = OdeModel("ring", ca.vertcat(x, y), ca.vertcat(y, 0.5 * (1 - x**2) * y - x + 0.1 * beside))
-    phases = TWO_PI * np.arange(units) / units
+    model = OdeModel("ring", ca.vertcat(x, y), ca.vertcat(y, 0.5 * (1 - x**2) * y - stiffness * x + 0.1 * beside))
+    phases = TWO_PI * turns * np.arange(units) / units
     return model, lambda t: np.concatenate([2 * np.cos(t - phases), -2 * np.sin(t - phases)])
 
 
@@ -100,3 +100,18 @@ def test_a_wave_is_found_from_cosines_of_another_period(units: int) -> None:
     assert orbit.period == pytest.approx(period_of_the_wave(units), abs=1e-7)
     wave = orbit.evaluate(np.array([0.0, orbit.period / units]))
     np.testing.assert_allclose(wave[1, :units], np.roll(wave[0, :units], 1), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("units", "spread", "seed", "period"),
+    [
+        (10, 0.001, 0, 6.373235),
+        (10, 0.005, 1, 6.357597),
+        pytest.param(25, 0.005, 1, 6.319568, marks=pytest.mark.slow),
+    ],
+)
+def test_detuned_oscillators_are_found_in_step(units: int, spread: float, seed: int, period: float) -> None:
+    """Periods by shooting from the state in which the motion from the guess is at time 2000."""
+    detuned = 1.0 + spread * np.random.default_rng(seed).standard_normal(units)
+    orbit = find_orbit(*ring(units, ca.DM(detuned), turns=0), 6.4, tolerance=1e-8)
+    assert orbit.period == pytest.approx(period, abs=1e-6)
