@@ -75,6 +75,8 @@ def estimated(
     moves = by_Omega | (free & (along is not None) & (steps[:, finer.parameter_index] != 0.0))
     errors, floors = _step_errors(finer, long_z, steps, moves, on_finer.between), np.zeros(len(z))
     errors[0] = np.maximum(errors[0], problem.round_off * Omega)
+    if on_finer.between is not None:  # a step is right up to its square, and that of Omega goes through zero
+        errors[0] = np.maximum(errors[0], errors[1] ** 2 * Omega)
     near = _largest(errors, Omega) < NEAR_ROUND_OFF
     if near.any():  # the estimate is at least the rounding error, of the residual and of the constants
         noise = at_parameter(finer, long_z, on_finer.response(), along, free)

@@ -168,3 +168,23 @@ def test_errors_along_branches_by_other_methods(transcription: str, degree: int)
         found = ratios(along(tolerance=1e-6, transcription=transcription, degree=degree))
         assert min(found) > 1.0
         assert np.median(found) < 4.0
+
+
+@pytest.mark.slow
+def test_errors_of_periods_are_honest_where_a_step_leaves_the_period_as_it_is() -> None:
+    """Three coupled van der Pol oscillators: what a step changes of the period goes through zero along the branch."""
+    xs, ys, squares = [ca.SX.sym(f"x{i}") for i in range(3)], [ca.SX.sym(f"y{i}") for i in range(3)], (1.0, 1.02, 0.97)
+    pushes = [
+        p * (1 - xs[i] ** 2) * ys[i] - squares[i] * xs[i] + 0.3 * (xs[(i + 1) % 3] - 2 * xs[i] + xs[i - 1])
+        for i in range(3)
+    ]
+    model = OdeModel("three", ca.vertcat(*xs, *ys), ca.vertcat(*ys, *pushes), p)
+    start = find_orbit(
+        model, lambda t: [2 * np.cos(t)] * 3 + [-2 * np.sin(t)] * 3, 6.6, parameters={"p": 0.5}, tolerance=1e-5
+    )
+    orbits = [orbit for orbit in start.follow("p", 2.0).orbits if 1.41 < orbit.parameters["p"] < 1.6]
+    assert len(orbits) > 4
+    for orbit in orbits:
+        exact = find_orbit(model, orbit, orbit.period, parameters={"p": orbit.parameters["p"]}, tolerance=1e-10)
+        rounding = 1e-14 + exact.point.error.Omega
+        assert abs(orbit.Omega - exact.Omega) <= orbit.point.error.Omega + rounding, orbit.parameters
