@@ -58,7 +58,7 @@ FUNCTIONS = {
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
-    "interval_maps": "aiiaaaaaaaa",
+    "interval_maps": "aiiaaaaa",
     "products": "iiaaaaa",
     "turned": "iiiiaaaaaaa",
     "moved": "iiaaaaaaa",
@@ -70,7 +70,7 @@ FUNCTIONS = {
 TERMS = "iaaaaaa"
 LAYOUT = "iiii" + 4 * "iaa" + "aarraaa"
 ROW = "iiiiii" + "aa"
-METHOD = "iiaaaaaa"
+METHOD = "iaa"
 SERIES = "iiiii" + "aaaaaaaa" + 2 * (TERMS + "aa")
 TAIL = "iiiiiii" + "aaaaaaaaaa" + "r"
 
@@ -448,24 +448,12 @@ def eliminated(
 MOST_STATES = 16  # for which these are faster than numpy's products of matrices
 
 
-def interval_maps(
-    method: Structure, checks: int, lengths: Array, jacobians: Array, along: tuple[Array, Array] | None
-) -> tuple[Array, Array | None, Array]:
-    """Maps over intervals, improved ones where derivatives along a better orbit are known, and growth of factors.
-
-    Arguments:
-        method: of kind METHOD; `checks` is the number of its check points.
-        lengths: of the intervals, (K,).
-        jacobians: at the stages, (K, d, n, n).
-        along: those along the better orbit at the stages, and at the check points, (K, checks, n, n).
-    """
+def interval_maps(method: Structure, lengths: Array, jacobians: Array) -> tuple[Array, Array]:
+    """Maps over intervals and growth of factors, by a method of kind METHOD from derivatives at stages (K, d, n, n)."""
     K, d, n, _ = jacobians.shape
-    maps, growth, improved = np.empty((K, n, n)), np.empty(K), None if along is None else np.empty((K, n, n))
-    memory = np.empty(LANES * ((d * n) ** 2 + (5 * d + checks + 6) * n * n))
-    stages, checked = (None, None) if along is None else map(np.ascontiguousarray, along)
-    data = lengths, np.ascontiguousarray(jacobians), maps, growth, stages, checked, improved, memory
-    _call("interval_maps", method, K, n, *data)
-    return maps, improved, growth
+    maps, growth, memory = np.empty((K, n, n)), np.empty(K), np.empty(LANES * ((d * n) ** 2 + 2 * (d + 1) * n * n))
+    _call("interval_maps", method, K, n, lengths, np.ascontiguousarray(jacobians), maps, growth, memory)
+    return maps, growth
 
 
 def products(maps: Array, inverse: bool) -> tuple[Array, float, Array, float]:

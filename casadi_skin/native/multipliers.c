@@ -11,12 +11,10 @@
 enum { LANES = 8 };
 typedef double lanes[LANES];
 
-/* A method: stages, check points, Runge-Kutta matrix (d, d), weights of the end (d); of the defect: values (p, d + 1) at
-   the check points of the polynomial through the start and the stages, at_stages (p, d) of that through the stages,
-   weights of the stages (d) and of the check points (p) in integrals. */
+/* A method: stages, Runge-Kutta matrix (d, d), weights of the end (d). */
 typedef struct {
-    int64_t stages, checks;
-    const double *matrix, *end, *values, *at_stages, *of_stages, *of_checks;
+    int64_t stages;
+    const double *matrix, *end;
 } method;
 
 #define EACH for (int64_t l = 0; l < LANES; l++)
@@ -86,23 +84,6 @@ static void solve(int64_t N, int64_t n, const lanes *A, lanes *x)
     }
 }
 
-/* Rows of the solution X of X A = B, in the place of those of B as columns, (N, n). */
-static void solve_from_left(int64_t N, int64_t n, const lanes *A, lanes *x)
-{
-    lanes f;
-    for (int64_t k = 0; k < N; k++) {
-        for (int64_t i = 0; i < k; i++) {
-            EACH f[l] = -A[i * N + k][l];
-            add(n, x + k * n, f, x + i * n);
-        }
-        for (int64_t j = 0; j < n; j++)
-            EACH x[k * n + j][l] *= A[k * N + k][l];
-    }
-    for (int64_t k = N - 1; k >= 0; k--)
-        for (int64_t i = k + 1; i < N; i++)
-            add(n, x + k * n, A[i * N + k], x + i * n);
-}
-
 static void give(int64_t area, int64_t first, int64_t K, const lanes *from, double *to)
 {
     for (int64_t l = 0; l < LANES && first + l < K; l++)
@@ -110,28 +91,13 @@ static void give(int64_t area, int64_t first, int64_t K, const lanes *from, doub
             to[(first + l) * area + i] = from[i][l];
 }
 
-/* x += w y' z, y' the transpose of y. */
-static inline void add_transposed(int64_t n, lanes *restrict x, double w, const lanes *restrict y, const lanes *restrict z)
-{
-    lanes f;
-    for (int64_t k = 0; k < n; k++)
-        for (int64_t i = 0; i < n; i++) {
-            EACH f[l] = w * y[k * n + i][l];
-            add(n, x + i * n, f, z + k * n);
-        }
-}
-
 /* Maps over K intervals, (K, n, n), from derivatives of the field at their stages, (K, d, n, n), and how much factors
-   grow, (K). Where there is a better orbit, with derivatives `stages` and `checks`, (K, p, n, n), along it: `improved`
-   ones, by the integral of the defect of the polynomials of the maps times Z, the map from there to the end. `memory`
-   has LANES times (d n)^2 + (5 d + p + 6) n^2 numbers. */
+   grow, (K). `memory` has LANES times (d n)^2 + 2 (d + 1) n^2 numbers. */
 KERNEL(interval_maps)(const method *of, int64_t K, int64_t n, const double *lengths, const double *jacobians,
-                      double *maps, double *growth, const double *stages, const double *checks, double *improved,
-                      double *memory)
+                      double *maps, double *growth, double *memory)
 {
-    const int64_t d = of->stages, p = of->checks, N = d * n, area = n * n;
-    lanes *A = (lanes *)memory, *J = A + N * N, *P = J + d * area, *S = P + (d + 1) * area, *G = S + d * area;
-    lanes *Z = G + d * area, *B = Z + (d + 1) * area, *M = B + p * area, *Y = M + area, *C = Y + area, *Q = C + area;
+    const int64_t d = of->stages, N = d * n, area = n * n;
+    lanes *A = (lanes *)memory, *J = A + N * N, *M = J + d * area, *P = M + area, *slopes = P + d * area;
     for (int64_t first = 0; first < K; first += LANES) {
         lanes largest = {0.0};
         take(d * area, first, K, lengths, jacobians, J);
@@ -142,54 +108,19 @@ KERNEL(interval_maps)(const method *of, int64_t K, int64_t n, const double *leng
                         const double weight = -of->matrix[i * d + j], one = i == j && a == b ? 1.0 : 0.0;
                         EACH A[(i * n + a) * N + j * n + b][l] = weight * J[j * area + a * n + b][l] + one;
                     }
-        memset(P, 0, (size_t)((d + 1) * area) * sizeof(lanes)); /* begins with the start, where it is 1 */
+        memset(M, 0, (size_t)((d + 1) * area) * sizeof(lanes)); /* M and P begin as 1 */
         for (int64_t i = 0; i <= d; i++)
             for (int64_t a = 0; a < n; a++)
-                EACH P[i * area + a * n + a][l] = 1.0;
+                EACH M[i * area + a * n + a][l] = 1.0;
         factor(N, A, largest);
-        solve(N, n, A, P + area);
-        memcpy(M, P, (size_t)area * sizeof(lanes));
+        solve(N, n, A, P);
         for (int64_t j = 0; j < d; j++) {
-            product(n, S + j * area, J + j * area, P + (j + 1) * area); /* slopes */
-            add_times(area, M, of->end[j], S + j * area);
+            product(n, slopes, J + j * area, P + j * area);
+            add_times(area, M, of->end[j], slopes);
         }
         give(area, first, K, M, maps);
         for (int64_t l = 0; l < LANES && first + l < K; l++)
             growth[first + l] = largest[l];
-        if (!stages)
-            continue;
-        for (int64_t j = 0; j < d; j++)
-            for (int64_t a = 0; a < n; a++)
-                for (int64_t b = 0; b < n; b++)
-                    EACH G[j * area + b * n + a][l] = of->end[j] * J[j * area + a * n + b][l];
-        solve_from_left(N, n, A, G);
-        for (int64_t a = 0; a < n; a++) /* Z is transposed, as G is, and begins with the whole map */
-            for (int64_t b = 0; b < n; b++)
-                memcpy(Z + b * n + a, M + a * n + b, sizeof(lanes));
-        for (int64_t j = 0; j < d; j++) {
-            memcpy(Z + (j + 1) * area, P, (size_t)area * sizeof(lanes));
-            for (int64_t i = 0; i < d; i++)
-                add_times(area, Z + (j + 1) * area, of->matrix[i * d + j] / of->end[j], G + i * area);
-        }
-        take(d * area, first, K, lengths, stages, J);
-        for (int64_t j = 0; j < d; j++) {
-            product(n, C, J + j * area, P + (j + 1) * area);
-            add_times(area, C, -1.0, S + j * area);
-            add_transposed(n, M, of->of_stages[j], Z + (j + 1) * area, C);
-        }
-        take(p * area, first, K, lengths, checks, B);
-        for (int64_t c = 0; c < p; c++) {
-            memset(Y, 0, (size_t)area * sizeof(lanes)), memset(Q, 0, (size_t)area * sizeof(lanes));
-            for (int64_t j = 0; j <= d; j++) {
-                add_times(area, Y, of->values[c * (d + 1) + j], P + j * area);
-                add_times(area, Q, of->values[c * (d + 1) + j], Z + j * area);
-            }
-            product(n, C, B + c * area, Y);
-            for (int64_t j = 0; j < d; j++)
-                add_times(area, C, -of->at_stages[c * d + j], S + j * area);
-            add_transposed(n, M, of->of_checks[c], Q, C);
-        }
-        give(area, first, K, M, improved);
     }
     return 0;
 }

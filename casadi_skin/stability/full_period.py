@@ -10,10 +10,9 @@ The error of a multiplier is its distance from that of a better solution, and wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import repeat
 
 import numpy as np
 
@@ -38,7 +37,6 @@ from casadi_skin.stability.closed_maps import (
 from casadi_skin.stability.flows import LOCAL_TOLERANCE_RATIO, TIGHTEST_LOCAL_TOLERANCE, transition_by_cvodes
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.discretisation import at_checks, by_intervals, missed
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, Closure
 
@@ -46,9 +44,6 @@ from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, 
 
 DISTANCE_SAFETY = 2.0  # distances to the better solution are the error up to the error of that
 LEAST_ERROR_RATIO = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
-# Of the error that maps by the defect leave, and of the largest error: on 518 orbits of nine models the estimate is 4
-# times the error in the median; of 265 with errors above rounding it is below the error for four, by 2.3 at most.
-LEFT_BY_DEFECT, LEAST_BY_DEFECT = 0.5, 0.25
 TRIVIAL_DRIFT = 100.0  # tolerances, times the size of the balanced monodromy matrix: of the trivial multiplier
 
 
@@ -105,71 +100,37 @@ MOST_WORK = 1e10  # of the linear systems of all parts: their number times the t
 LARGEST_STACK = 4_000_000  # entries of the matrices of several intervals that are factored in one call
 
 
-def interval_maps(
-    jacobians: Array, lengths: Array, table: CollocationTable, along: tuple[Array, Array] | None = None
-) -> tuple[Array, Array]:
+def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> Array:
     """Transition matrices over intervals from derivatives at their stages, in order of time, shape (any, n, n).
 
     They are solved for in balanced units, powers of 2: where sizes of states differ by 1e10, pivots would be chosen by
-    their units, and entries lose all digits that small states have. Where derivatives along a better orbit are known,
-    at the stages and at the check points (any, points, n, n), the second ones are improved by the defect that the
-    polynomials of the maps have there; else they are the same.
+    their units, and entries lose all digits that small states have.
     """
     n, d, K = jacobians.shape[1], table.degree, lengths.size
     units = balancing(np.max(np.abs(jacobians), axis=0))
-    ratios = units / units[:, None]
-    of_intervals = (jacobians * ratios).reshape(K, d, n, n)
-    known = None if along is None else ((along[0] * ratios).reshape(K, d, n, n), along[1] * ratios)
+    of_intervals = (jacobians * (units / units[:, None])).reshape(K, d, n, n)
     if n <= MOST_STATES and table.stages == tuple(range(1, d + 1)) and kernels():
-        maps, improved, growth = compiled_maps(*_method(table), lengths, of_intervals, known)
-        improved = maps if improved is None else improved
+        maps, growth = compiled_maps(_method(table), lengths, of_intervals)
         left = np.flatnonzero(~(growth <= MOST_GROWTH))
     else:
         maps, left = np.empty((K, n, n)), np.arange(K)
-        improved = maps if along is None else np.empty((K, n, n))
     for these in np.array_split(left, left.size * (n * d) ** 2 // LARGEST_STACK + 1) if left.size else ():
-        better = None if known is None else (known[0][these], known[1][these])
-        maps[these], improved[these] = _solved_maps(of_intervals[these], lengths[these, None, None], table, better)
-    ratios = units[:, None] / units
-    return maps * ratios, improved * ratios
+        maps[these] = _solved_maps(of_intervals[these], lengths[these, None, None], table)
+    return np.asarray(maps * (units[:, None] / units))
 
 
-def _solved_maps(A: Array, h: Array, table: CollocationTable, along: tuple[Array, Array] | None) -> tuple[Array, Array]:
-    """The same of some intervals, from their derivatives (intervals, d, n, n) and lengths (intervals, 1, 1).
-
-    The defect of the polynomials of the maps is integrated with the maps from there to the end, Z.
-    """
+def _solved_maps(A: Array, h: Array, table: CollocationTable) -> Array:
+    """The same of some intervals, from their derivatives (intervals, d, n, n) and lengths (intervals, 1, 1)."""
     K, d, n = A.shape[:3]
-    systems, one, weights, defect = _stage_systems(A, h, table), np.eye(n), table.extended[-1], table.defect
-    stages = np.linalg.solve(systems, np.tile(one, (d, 1))).reshape(K, d, n, n)
-    slopes = A @ stages
-    maps: Array = one + h * np.tensordot(slopes, weights, (1, 0))
-    if along is None:
-        return maps, maps
-    by_stages = (h[..., None] * weights[:, None, None] * A).transpose(0, 1, 3, 2).reshape(K, d * n, n)
-    by_stages = np.linalg.solve(systems.swapaxes(1, 2), by_stages).reshape(K, d, n, n).swapaxes(2, 3)
-    to_end = one + _combined((table.matrix / weights).T, by_stages)
-    support = one + np.concatenate([np.zeros((K, 1, n, n)), h[..., None] * _combined(table.extended, slopes)], axis=1)
-    defects = along[1] @ _combined(defect.at_points[0], support[:, : d + 1]) - _combined(defect.at_points[1], slopes)
-    missed = np.tensordot(to_end @ (along[0] @ stages - slopes), defect.quadrature[0], (1, 0))
-    ways = np.concatenate([maps[:, None], to_end], axis=1) if table.stages[0] else to_end  # else the start is a stage
-    missed += np.tensordot(
-        _combined(defect.at_points[not table.stages[0]], ways) @ defects, defect.quadrature[1], (1, 0)
-    )
-    return maps, maps + h * missed
-
-
-def _combined(weights: Array, matrices: Array) -> Array:
-    """Combinations of the matrices of each interval, (intervals, any, n, n)."""
-    return np.asarray(np.einsum("ij,kjab->kiab", weights, matrices))
+    one = np.eye(n)
+    stages = np.linalg.solve(_stage_systems(A, h, table), np.tile(one, (d, 1))).reshape(K, d, n, n)
+    return np.asarray(one + h * np.tensordot(A @ stages, table.extended[-1], (1, 0)))
 
 
 @lru_cache(maxsize=16)
-def _method(table: CollocationTable) -> tuple[Structure, int]:
-    """A method whose stages are the values behind the start, for compiled kernels, and its number of check points."""
-    arrays = table.matrix, table.extended[-1], *table.defect.at_points, *table.defect.quadrature
-    checks = table.defect.quadrature[1].size
-    return Structure(METHOD, table.degree, checks, *map(np.ascontiguousarray, arrays)), checks
+def _method(table: CollocationTable) -> Structure:
+    """A method whose stages are the values behind the start, for compiled kernels."""
+    return Structure(METHOD, table.degree, *map(np.ascontiguousarray, (table.matrix, table.extended[-1])))
 
 
 def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
@@ -209,30 +170,20 @@ def needed_parts(problem: BoundaryProblem, jacobians: Array) -> Indices | None:
     return None if np.max(counts) * WITHIN_PART <= RESOLVED_LOG_GROWTH else counts
 
 
-def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices, inner: Array | None = None) -> Array:
-    """Maps over so many parts of each interval, of the first n components.
-
-    States at the inner check points are `inner` where these are known, shape (inner points, states).
-    """
+def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -> Array:
+    """Maps over so many parts of each interval, of the first n components."""
     parts, interval = np.repeat(counts, counts), np.repeat(np.arange(counts.size), counts)
     lengths, table = problem.constants[interval] / parts, problem.table
     starts = np.append(0.0, np.cumsum(lengths)[:-1])
     places = (starts[:, None] + lengths[:, None] * table.nodes).ravel()
     states = problem.sample(z, places)
-    if inner is not None:
-        turn = np.arange(parts.size) - np.repeat(np.cumsum(counts) - counts, counts)
-        weights = table.beside(((turn[:, None] + table.nodes) / parts[:, None]).ravel())
-        edges = np.cumsum(problem.constants) - problem.constants
-        known = problem.sample(z, (edges[:, None] + problem.constants[:, None] * table.defect.inner).ravel())
-        moved = (inner - known).reshape(counts.size, -1, states.shape[1])[np.repeat(interval, table.degree)]
-        states = states + (weights[:, None] @ moved)[:, 0]
     scalars, values, together = z[problem.states :], problem.values, problem.resolution * problem.degree + 1
     finer = []
     for these in np.split(np.arange(places.size), np.arange(together, places.size, together)):
         chosen = np.resize(these, together)  # of the same number as the equations evaluate together
         found = problem.discretisation.jacobians_at(places[chosen, None], states[chosen], scalars, values)
         finer.append(found[: these.size, :n, :n])
-    return interval_maps(np.concatenate(finer), lengths, table)[0]
+    return interval_maps(np.concatenate(finer), lengths, table)
 
 
 LEAST_LOCAL_TOLERANCE = 1e-12
@@ -255,7 +206,6 @@ class Closed:
         symmetry: the part of the period that is unknown.
         period: of a periodic solution.
         turn: S, shape (n, n), of a solution that conditions take back to S times its start; None where it is 1.
-        between: of a better solution, what is added to its polynomials at inner check points, where that is known.
     """
 
     problem: BoundaryProblem
@@ -264,7 +214,6 @@ class Closed:
     symmetry: SymmetryClass = SymmetryClass.FULL
     period: float = np.nan
     turn: Array | None = None
-    between: Array | None = None
 
     @classmethod
     def by(cls, closure: Closure, problem: BoundaryProblem, z: Array) -> Closed:
@@ -349,63 +298,36 @@ def _same(one: Array, other: Array) -> bool:
 
 
 def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
-    """Multipliers from the interval maps of the linearised equations.
-
-    `better` is the orbit on a finer mesh, or a better one on the same mesh: along that the defect of the linearised
-    equations gives better maps.
-    """
-    if better is None or better.problem is orbit.problem:
-        found, improved = _multipliers(orbit, tolerance, better)
-        return judged(found, improved, tolerance, LEFT_BY_DEFECT, LEAST_BY_DEFECT)
-    (found, _), (finer, _) = (_multipliers(one, tolerance, None) for one in (orbit, better))
+    """Multipliers from the interval maps of the linearised equations; `better` is the orbit on a finer mesh."""
+    found = _multipliers(orbit, tolerance, with_rounding=better is not None)
+    if better is None:
+        return judged(found, None, tolerance)
+    finer = _multipliers(better, tolerance, with_rounding=False)
     return judged(found, finer, tolerance, orbit.problem.left_by(better.problem))
 
 
-def _multipliers(orbit: Closed, tolerance: float, better: Closed | None) -> tuple[Multipliers, Multipliers | None]:
-    """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost.
-
-    The second ones are those of the better maps.
-    """
+def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multipliers:
+    """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
     problem, n, units = orbit.problem, orbit.size, units_of(orbit.ends)
-    equations, numbers = problem.discretisation, problem.numbers
-    jacobians = equations.jacobians(orbit.z, numbers)[:, :n, :n]  # at all stages, of unit length
-    exponents, along = [_exponent(problem, jacobians, None)], None
-    orbits: list[tuple[Closed, Array | None]] = [(orbit, None)]
-    if better is not None:
-        between = better.between if better.between is not None else missed(equations, better.z, numbers)[1]
-        checks = at_checks(equations, better.z, numbers, between)
-        there = by_intervals(equations, equations.jacobians_at(*checks))
-        along = equations.jacobians(better.z, numbers)[:, :n, :n], there[..., :n, :n]
-        exponents.append(_exponent(problem, *along))
-        orbits.append((better, checks[1][: -problem.resolution - 1]))
-    trivials = [one.trivial(tolerance) for one, _ in orbits]
+    jacobians = problem.discretisation.jacobians(orbit.z, problem.numbers)[:, :n, :n]  # at all stages, of unit length
+    traces = np.trace(jacobians, axis1=1, axis2=2).reshape(-1, problem.degree)
+    contraction = orbit.contraction(float(problem.constants @ (traces @ problem.table.extended[-1])))
 
-    def multipliers(maps: Sequence[Array], trivials: Sequence[Trivial]) -> list[Multipliers]:
-        whole, contractions = [orbit.over_the_period(each) for each in maps], map(orbit.contraction, exponents)
-        return list(map(multipliers_along, whole, trivials, repeat(units), contractions, (True, False)))
+    def multipliers(maps: Array, trivial: Trivial) -> Multipliers:
+        return multipliers_along(orbit.over_the_period(maps), trivial, units, contraction, with_rounding)
 
-    maps = interval_maps(jacobians, problem.constants, problem.table, along)
-    found = multipliers(maps[: len(orbits)], trivials)
-    counts = needed_parts(problem, jacobians) if orbit.is_whole and found[0].others.far > 1 else None
-    if counts is not None and np.sum(counts) <= min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
-        parts = [maps_of_parts(problem, one.z, n, counts, inner) for one, inner in orbits]
-        carried = [trivial.carried(each, counts) for trivial, each in zip(trivials, parts, strict=True)]
-        by_parts = multipliers(parts, carried)
-        logs, other = found[0].others.logs, by_parts[0].others.logs
-        as_good = (np.abs(logs) <= FAR_LOG_EIGENVALUE) & (np.abs(logs - other) <= SAME_LOG_ATOL)
-        found = [one.but(whole, as_good) for one, whole in zip(by_parts, found, strict=True)]
-    elif counts is not None:
-        found[0] = replace(found[0], lost=True)
-    return found[0], found[1] if better is not None else None
-
-
-def _exponent(problem: BoundaryProblem, stages: Array, checks: Array | None) -> float:
-    """The integral of the trace of derivatives at the stages, and at the check points where these are known."""
-    traces, quadrature = np.trace(stages, axis1=1, axis2=2).reshape(-1, problem.degree), problem.table.defect.quadrature
-    if checks is None:
-        return float(problem.constants @ (traces @ problem.table.extended[-1]))
-    both = traces @ quadrature[0] + np.trace(checks, axis1=2, axis2=3) @ quadrature[1]
-    return float(problem.constants @ both)
+    trivial = orbit.trivial(tolerance)
+    found = multipliers(interval_maps(jacobians, problem.constants, problem.table), trivial)
+    counts = needed_parts(problem, jacobians) if orbit.is_whole and found.others.far > 1 else None
+    if counts is None:
+        return found
+    if np.sum(counts) > min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
+        return replace(found, lost=True)
+    parts = maps_of_parts(problem, orbit.z, n, counts)
+    by_parts = multipliers(parts, trivial.carried(parts, counts))
+    logs, other = found.others.logs, by_parts.others.logs
+    as_good = (np.abs(logs) <= FAR_LOG_EIGENVALUE) & (np.abs(logs - other) <= SAME_LOG_ATOL)
+    return by_parts.but(found, as_good)
 
 
 def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:

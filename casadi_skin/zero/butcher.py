@@ -70,14 +70,6 @@ class CollocationTable:
         """Weights of the defect of a solution, from which its error follows."""
         return _defect_table(self)
 
-    def beside(self, places: Array) -> Array:
-        """At places, weights of what is added at the inner check points, and nowhere at the start and the ends."""
-        inner = self.defect.inner
-        if not inner.size:
-            return np.zeros((places.size, 0))
-        at_places, at_inner = (_node_polynomial(np.append(0.0, self.ends), t) for t in (places, inner))
-        return np.asarray(at_places[:, None] * _polynomials(inner, places) / at_inner)
-
 
 @cache
 def gauss_table(degree: int) -> CollocationTable:
@@ -135,7 +127,6 @@ class DefectTable:
         inner: the inner points, halfway between each two stages.
         checked: which of the start, the inner points and the end are check points, shape (inner points + 2,).
         values: weights of the values that determine the polynomial in it at the inner points.
-        at_points: the same at all check points, and weights of values at the stages in the polynomial through these.
         slopes: the same in its derivative at all check points.
         increments: weights of the defects in their integral to the method's ends.
         between: the same to the inner points, less the polynomial through those at the support.
@@ -145,7 +136,6 @@ class DefectTable:
     inner: Array
     checked: NDArray[np.bool_]
     values: Array
-    at_points: tuple[Array, Array]
     slopes: Array
     increments: Array
     between: Array
@@ -167,8 +157,7 @@ def _defect_table(table: CollocationTable) -> DefectTable:
     whole = _integrals_of(lambda t: _polynomials(np.concatenate([stages, points]), t), np.ones(1), 2 * d)[0]
     between = to_inner - values[:, 1:] @ increments[:d]
     slopes = _polynomials(table.support, points, derivative=1)
-    at_all = _polynomials(table.support, points), _polynomials(stages, points)
-    return DefectTable(inner, checked, values, at_all, slopes, increments, between, (whole[:d], whole[d:]))
+    return DefectTable(inner, checked, values, slopes, increments, between, (whole[:d], whole[d:]))
 
 
 def _polynomials(support: Array, t: Array, derivative: int = 0) -> Array:

@@ -366,8 +366,8 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
         check point, less the polynomial through those at the stages, shape (inner points, states).
     """
     of, table, K, d = equations.formulation, equations.table.defect, equations.intervals, equations.table.degree
-    lengths, arguments = numbers[:K], at_checks(equations, z, numbers)
-    field, integrands = (by_intervals(equations, found) for found in equations.along(*arguments))
+    lengths, arguments = numbers[:K], _at_checks(equations, z, numbers)
+    field, integrands = (_by_intervals(equations, found) for found in equations.along(*arguments))
     rises = polynomials(equations, z)[1]
     defects = lengths[:, None, None] * field - table.slopes[:, 1:] @ rises
     residual = [-(table.increments @ defects).ravel(), np.zeros(of.conditions.numel())]
@@ -388,22 +388,19 @@ def polynomials(equations: Discretisation, z: Array) -> tuple[Array, Array]:
     return first, values[equations.structure.start[:, None] + np.arange(1, equations.table.degree + 1)] - first
 
 
-def at_checks(equations: Discretisation, z: Array, numbers: Array, between: Array | float = 0.0) -> tuple[Array, ...]:
-    """(s, x, scalars, constants) at the inner check points of all intervals, then at the ends of these.
-
-    `between` is added to the polynomials at the inner points, shape (inner points, states).
-    """
+def _at_checks(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, ...]:
+    """(s, x, scalars, constants) at the inner check points of all intervals, then at the ends of these."""
     n, table, count = equations.formulation.states, equations.table, equations.state_values
     lengths, constants = np.split(numbers, [equations.intervals])
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     inner = ends[:-1, None] + lengths[:, None] * table.defect.inner
     first, rises = polynomials(equations, z)
-    within = (first + table.defect.values[:, 1:] @ rises).reshape(-1, n) + between
+    within = (first + table.defect.values[:, 1:] @ rises).reshape(-1, n)
     states = np.concatenate([within, z[:count].reshape(-1, n)[:: table.ends.size]])
     return np.concatenate([inner.ravel(), ends])[:, None], states, z[count:], constants
 
 
-def by_intervals(equations: Discretisation, found: Array) -> Array:
+def _by_intervals(equations: Discretisation, found: Array) -> Array:
     """Values there at the check points of each interval, shape (intervals, points, ...)."""
     table, K = equations.table.defect, equations.intervals
     between, ends = np.split(found, [K * table.inner.size])

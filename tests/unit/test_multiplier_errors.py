@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-
 import casadi as ca
 import numpy as np
 import pytest
-from kernels import numpy_alone
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from casadi_skin import Chain, OdeModel, Orbit, find_orbit, follow_family
-from casadi_skin.stability.full_period import interval_maps
 from casadi_skin.stability.result import Floquet, reversible_floquet
-from casadi_skin.zero.butcher import CollocationTable, gauss_table, radau_table
 
 Array = np.ndarray
 
@@ -91,30 +86,6 @@ def test_errors_of_multipliers_from_mu_go_with_the_root_of_mu_near_the_circle() 
     assert found.other_errors[0] == pytest.approx(4e-9, rel=1e-3)
     assert found.other_errors[2] == pytest.approx(slope, rel=1e-3)
     assert found.other_errors[4] == pytest.approx(4.0 * np.sqrt(1e-10), rel=0.2)
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("table", [*map(gauss_table, range(1, 7)), *map(radau_table, range(3, 7))])
-def test_the_defect_of_linear_equations_is_the_error_of_their_maps(table: CollocationTable, compiled: bool) -> None:
-    """Of y' = A(t) y on few intervals, to a few per cent, so that improved maps are ten times better at least."""
-    A, B, C = np.random.default_rng(3).normal(size=(3, 3, 3))
-    K = 40 if table.degree == 1 else 6
-    edges, lengths = np.arange(K)[:, None] / K, np.full(K, 1.0 / K)
-
-    def along(places: Array) -> Array:
-        t = (edges + places / K)[..., None, None]
-        return np.asarray(A + B * np.cos(5 * t) + C * t * np.sin(3 * t))
-
-    def rates(t: float, y: Array) -> Array:
-        return np.ravel((A + B * np.cos(5 * t) + C * t * np.sin(3 * t)) @ y.reshape(3, 3))
-
-    known = solve_ivp(rates, (0.0, 1.0), np.eye(3).ravel(), "DOP853", rtol=3e-14, atol=1e-15).y[:, -1].reshape(3, 3)
-    stages = along(table.nodes).reshape(-1, 3, 3)
-    points = np.concatenate([[0.0], table.defect.inner, [1.0]])[table.defect.checked]
-    with nullcontext() if compiled else numpy_alone():
-        maps, improved = interval_maps(stages, lengths, table, (stages, along(points)))
-    own, better = (np.max(np.abs(np.linalg.multi_dot(each[::-1]) - known)) for each in (maps, improved))
-    assert better < 0.1 * own
 
 
 # What is conserved ----------------------------------------------------------------------------------------------------
