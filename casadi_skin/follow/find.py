@@ -42,7 +42,6 @@ from casadi_skin.solve.levels import Levels, converged_mesh
 from casadi_skin.solve.newton import (
     Correction,
     NewtonCorrector,
-    Status,
     equilibrium_words,
     not_finite,
     rank_deficiency,
@@ -398,7 +397,6 @@ NOT_METHODS = ("tolerance", "time_limit", "progress")
 METHODS = ("transcription", "degree", "corrector", "intervals", "flow", "walker")
 FIRST_SOLUTION_OPTIONS = (NOT_METHODS[0], *METHODS, *NOT_METHODS[1:])
 RESOLUTIONS_TRIED = 6  # resolutions on which a first solution is sought
-EXHAUSTED_RESOLUTIONS = 2  # that take all steps in vain: van der Pol's orbit of mu = 7 is found on the second
 JUMP_SAMPLES = 2001  # of a guess that is looked at for jumps
 QUICK_TRIES = 1  # the same by another way
 JUMP_RESOLUTIONS = (90, 200, 450)  # the same where the guess has jumps, on a mesh that follows its length
@@ -488,7 +486,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
 
     `tries` is the largest number of resolutions.
     """
-    levels, failures, undetermined, exhausted = space.point_solver.levels, list[str](), "", 0
+    levels, failures, undetermined = space.point_solver.levels, list[str](), ""
     least = int(space.method.intervals or 1)
     resolutions = [r for r in levels.resolutions if r >= least][:RESOLUTIONS_TRIED]
     for problem, z in itertools.islice(_first_problems(space.statement, levels, resolutions, guess), tries):
@@ -511,9 +509,6 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
             undetermined = rank_deficiency(problem, correction.z, everywhere=True)
             words = (f"{correction.status.value}; {problem.describe_largest_residual(correction.z)}", undetermined)
             failures.append(not_finite(problem, z) or "; there ".join(filter(None, words)))
-            exhausted += correction.status is Status.TOO_MANY_ITERATIONS
-            if PERIOD in space.statement.values and exhausted == EXHAUSTED_RESOLUTIONS:
-                break  # a smooth guess leads the same way on a finer mesh, which costs more
     kind = BoundaryError if undetermined else NotReachedError
     raise kind(f"{space.statement.model.name}: no solution near the guess: {failures[0]}")
 
