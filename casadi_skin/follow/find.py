@@ -43,6 +43,7 @@ from casadi_skin.solve.newton import (
     Correction,
     NewtonCorrector,
     equilibrium_words,
+    has_shrunk,
     not_finite,
     rank_deficiency,
 )
@@ -502,7 +503,7 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
             try:
                 return space.refined(*(converged_mesh(levels, problem, correction) or (problem, correction)))
             except BoundaryError as error:
-                if not steep:
+                if not (steep or has_shrunk(problem, correction.z)):
                     raise
                 failures.append(str(error))
         else:
