@@ -32,6 +32,7 @@ TIME, STATE, PARAMETER, INPUT = 1, 2, 4, 8  # by what an operation switches, as 
 PATH_DIVISIONS = 50  # of a stretch of a path until its ends are neighbouring doubles
 WITHIN_STRETCH = np.arange(1.0, 16.0)[:, None] / 16.0  # places at which it is divided: one call costs as much as many
 TRIED_CROSSINGS = 64  # of one operation along a path that are tried
+TRIED_TOGETHER = 64  # of all: a model with many operations has thousands
 TIME_PLACES = 4001  # places of an interval of time at which operations are looked at
 INTERVAL_END_RTOL = 1e-12  # of an interval of time: as near to its ends, or to another time, a switch is there
 APART_FRACTION = 1e-6  # of a stretch: where right-hand sides are compared with those at neighbouring doubles
@@ -237,14 +238,15 @@ class Jumps:
             return ""
         rates = np.abs(field(places))
         scale = np.max(np.where(np.isfinite(rates), rates, 0.0), axis=0, initial=0.0)
-        entries, k = np.array(crossings).T
-        ends = places[k], places[k + 1]
-        jumps = _jumping(field, *ends, *_neighbours(value, entries, *ends), scale)
-        first = int(np.argmax(np.any(jumps, axis=1)))
-        if not jumps[first].any():
-            return ""
-        row, switch = int(np.argmax(jumps[first])), tried[entries[first]]
-        return f"the equation of {self.model.state_names[row]} jumps, by {switch.text}"
+        for start in range(0, len(crossings), TRIED_TOGETHER):
+            entries, k = np.array(crossings[start : start + TRIED_TOGETHER]).T
+            ends = places[k], places[k + 1]
+            jumps = _jumping(field, *ends, *_neighbours(value, entries, *ends), scale)
+            first = int(np.argmax(np.any(jumps, axis=1)))
+            if jumps[first].any():
+                row, switch = int(np.argmax(jumps[first])), tried[entries[first]]
+                return f"the equation of {self.model.state_names[row]} jumps, by {switch.text}"
+        return ""
 
     def beside(self, state: Array, parameters: Array, distances: Array) -> str:
         """That the equations jump within distances of a state along each of its components, shapes (states,)."""
