@@ -273,21 +273,26 @@ class PointSolver:
         known = None if self.settings.rounds_corners else correction.solve
         return known or self.factor(problem, correction.z, row)
 
-    def tangent(self, problem: Problem, z: Array, solve: Solve) -> Array:
-        """Unit tangent at z with row . t > 0, by the solver closed by that row; its factors may be from near z."""
+    def tangent(self, problem: Problem, z: Array, solve: Solve, there: bool = False) -> Array:
+        """Unit tangent at z with row . t > 0, by the solver closed by that row; its factors may be from near z.
+
+        They are of z itself where this is `there`.
+        """
         weights, right = self.metric(problem, z), np.zeros(problem.size)
         right[-1] = 1.0
         t = solve(right)
         size = before = float(np.sqrt(weights @ t**2))
         right[-1] = 0.0
-        while problem.in_order:
+        while problem.measured_by_defect:
             right[:-1] = problem.applied(z, t)
             change = solve(right)
             t, off = t - change, float(np.sqrt(weights @ change**2))
             if off**2 <= TANGENT_RTOL * before * size:
                 break
             if not off <= SLOWEST_TANGENT * before:
-                return self.tangent(problem, z, self.factor(problem, z, weights * t))
+                if there:  # what its own factors leave is rounding
+                    break
+                return self.tangent(problem, z, self.factor(problem, z, weights * t), there=True)
             before = off
         return np.asarray(t / float(np.sqrt(weights @ t**2)))
 
@@ -344,7 +349,7 @@ class PointSolver:
         distance = self.distance(problem, guess, correction.z)
         allowed = self.settings.guard_distance * reach
         if distance <= allowed:  # factors from near a point serve where what they leave is made up for
-            return correction if problem.in_order else replace(correction, solve=None)
+            return correction if problem.measured_by_defect else replace(correction, solve=None)
         if reach <= 0.0:
             self.failure = f"the next point lies behind the one before it ({problem.describe_parameters(guess)})"
             return None
@@ -503,7 +508,7 @@ class PointSolver:
         problem, tolerance, error = point.problem, self.settings.tolerance, point.error.relative(point.Omega)
         if (
             before is not None
-            and problem.in_order
+            and problem.measured_by_defect
             and ROUNDED_ERROR_FACTOR * point.error.round_off < error < ASYMPTOTIC_ERROR
         ):
             known = before.problem.expected_error(before.z, before.error.relative(before.Omega), problem)

@@ -206,7 +206,7 @@ class Levels:
 
         `error` is what is expected on `problem`, as it is.
         """
-        if error <= allowed or not problem.in_order:
+        if error <= allowed:
             return problem
         for resolution in [r for r in self.resolutions[:-1] if r >= problem.resolution]:
             other = self.problem(resolution)
@@ -228,6 +228,8 @@ class Levels:
         found larger than it is: then, and where it is `enough` or more, a finer level decides. `solve` has the factors
         of a Jacobian near z closed by the row of what is held, or by any across the branch. Raises SingularError.
         """
+        if not problem.measured_by_defect:
+            return self.refined(problem, z, tangent, held)
         if (
             self._seen is None
             or self._seen[0] is not problem

@@ -45,6 +45,7 @@ class BoundaryProblem(CollocationEquations):
     parameters by their value and no less than `scalar_floors`.
     """
 
+    measured_by_defect = True
     faint: Faint | None = None
 
     def __init__(
