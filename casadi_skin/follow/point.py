@@ -270,7 +270,7 @@ class PointSolver:
 
     def factors(self, problem: Problem, correction: Correction, row: Array) -> Solve:
         """The corrector's factors of a Jacobian next to the corrected point; those there where corners are sought."""
-        known = None if self.settings.rounds_corners else correction.solve
+        known = correction.solve if problem.in_order and not self.settings.rounds_corners else None
         return known or self.factor(problem, correction.z, row)
 
     def tangent(self, problem: Problem, z: Array, solve: Solve, there: bool = False) -> Array:
@@ -435,7 +435,7 @@ class PointSolver:
                 return known[0]
             tangent, solve = problem.own_tangent, correction.solve
             if tangent is None:
-                solve = solve or self.factor(problem, z, row)
+                solve = (problem.in_order and solve) or self.factor(problem, z, row)
                 tangent = self.tangent(problem, z, solve) if known is None else known[0].tangent
             if known is None:
                 known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)
