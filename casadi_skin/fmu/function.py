@@ -97,6 +97,10 @@ class Differences:
         sums = EXTRAPOLATION_WEIGHTS @ values.reshape(len(columns.seeds), STEP_FACTORS.size, -1)
         both = sums[columns.owners, :, columns.rows] / steps[columns.columns, None]
         largest, error = np.abs(both).max(axis=0, initial=0.0).tolist()
+        # Of derivatives that vanish at a place the error is that of rounded values, relative to these.
+        largest = max(
+            largest, DIFFERENCE_STEP * float(np.abs(values).max(initial=0.0) / steps.max(initial=DIFFERENCE_STEP))
+        )
         if 0.0 < largest < np.inf:
             self.largest_error = max(self.largest_error, error / largest)
         return np.asarray(both[:, 0])

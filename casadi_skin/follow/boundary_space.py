@@ -13,6 +13,7 @@ import numpy as np
 
 from casadi_skin.follow.branch_points import ONE_PLACE, branch_points_between
 from casadi_skin.follow.period_limit import joined_words, unbounded
+from casadi_skin.follow.point import ROUND_OFF
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, MonitorSearch, beside_on_tangent
 from casadi_skin.follow.solution import Orbit, Solution
@@ -303,7 +304,7 @@ class BoundarySpace(ParameterSpace):
             raise BoundaryError(f"{name}: {backwards}")
         estimate = point.error.relative(1.0)
         # Of an orbit that is one of a family the period is not known; states that are zero may have any relative error.
-        doubtful = estimate > MEANINGLESS_ERROR or point.error.Omega > self.tolerance
+        doubtful = estimate > MEANINGLESS_ERROR or point.error.Omega > max(self.tolerance, ROUND_OFF)
         family = in_family(point.problem, point.z) if doubtful else ""
         if family:
             raise FamilyError(f"{name}: {family}")

@@ -51,7 +51,7 @@ def density(lengths: Array, leading: Array, degree: int, noise: float = 0.0) -> 
     rounding = noise * (scale[1:] + scale[:-1])
     if not np.any(jumps > rounding):
         return np.ones(K)
-    jumps = np.where(jumps > 2.0 * rounding, jumps - rounding, rounding)  # noise does not draw intervals
+    jumps = np.where(jumps > 2.0 * rounding, jumps - rounding, np.min(rounding))  # noise draws none
     slopes = jumps / (0.5 * (lengths[1:] + lengths[:-1]))
     wanted = np.concatenate([slopes[:1], 0.5 * (slopes[1:] + slopes[:-1]), slopes[-1:]]) ** (1.0 / (degree + 1))
     return _slowly_varying(lengths, wanted)

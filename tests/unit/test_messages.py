@@ -77,7 +77,7 @@ def test_scene_of_a_conservative_model_says_so(run):
 # Periods --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("part", [2, 3])
+@pytest.mark.parametrize("part", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["cycle", "function", "arrays"])
 def test_part_of_a_period_is_named_with_the_time_after_which_the_motion_comes_back(part, kind):
     system = van_der_pol()

@@ -20,7 +20,6 @@ from casadi_skin.follow.find import find_orbit
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.solve.ipopt import IpoptCorrector
 from casadi_skin.stability.result import TrivialMultiplierWarning
 
 Array = np.ndarray
@@ -176,28 +175,6 @@ def test_the_brusselator() -> None:
     for by in ("collocation", "cvodes"):
         assert abs(orbit.floquet(by).others[0] - other) < 1e-7
     np.testing.assert_allclose(orbit.floquet().monodromy, end[2:].reshape(2, 2), atol=1e-6)
-
-
-def test_a_guess_near_which_no_orbit_is_found_is_given_up_on_two_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oscillators in a ring that are too different; where the mesh is what fails, the second one finds the orbit."""
-    x, y, mu = ca.SX.sym("x", 5), ca.SX.sym("y", 5), ca.SX.sym("mu")
-    tried, solve = list[int](), IpoptCorrector.correct
-
-    def correct(own: IpoptCorrector, *given: Any) -> Any:
-        tried.append(own.problem.resolution)
-        return solve(own, *given)
-
-    monkeypatch.setattr(IpoptCorrector, "correct", correct)
-    detuned = (1 + 0.05 * np.random.default_rng(0).uniform(-1, 1, 5)) ** 2
-    coupling = ca.vertcat(x[-1], x[:-1]) + ca.vertcat(x[1:], x[0]) - 2 * x
-    ring = OdeModel("ring", ca.vertcat(x, y), ca.vertcat(y, 0.5 * (1 - x**2) * y - detuned * x + 0.1 * coupling))
-    with pytest.raises(BoundaryError, match="did not converge in the steps allowed"):
-        find_orbit(ring, lambda t: [*[2 * np.cos(t)] * 5, *[-2 * np.sin(t)] * 5], 2 * np.pi, tolerance=1e-8)
-    assert len(tried) == 2
-    one = OdeModel("one", ca.vertcat(x[0], y[0]), ca.vertcat(y[0], mu * (1 - x[0] ** 2) * y[0] - x[0]), mu)
-    w = 2 * np.pi / 6.6
-    stiff = find_orbit(one, lambda t: [2 * np.cos(w * t), -2 * np.sin(w * t)], 6.6, parameters={"mu": 7.0})
-    assert stiff.period == pytest.approx(14.53975, abs=1e-5)
 
 
 def test_a_section_in_place_of_the_phase_condition() -> None:
