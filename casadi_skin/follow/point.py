@@ -283,7 +283,7 @@ class PointSolver:
         t = solve(right)
         size = before = float(np.sqrt(weights @ t**2))
         right[-1] = 0.0
-        while problem.measured_by_defect:
+        while problem.in_order:
             right[:-1] = problem.applied(z, t)
             change = solve(right)
             t, off = t - change, float(np.sqrt(weights @ change**2))
