@@ -48,7 +48,9 @@ def draw(branch) -> Figure:
         mode = np.real(u * np.abs(u).max() / u[np.argmax(np.abs(u))]) / np.abs(u).max()
         right.plot(np.arange(1, u.size + 1) / (u.size + 1), mode, label=f"L = {point.parameters['L']:.4f}")
     right.set(xlabel="place", ylabel="u of the critical mode")
-    right.legend()
+    right.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize="x-small", handlelength=1.0, frameon=False
+    )
     return figure
 
 
