@@ -28,12 +28,12 @@ from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
 from casadi_skin.follow.search import ExponentSampler, Search, gap_between, nearest_order
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
-from casadi_skin.follow.special_points import special_orbit
+from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN, Exponents
-from casadi_skin.zero.kinds import CROSSING_KINDS, KREIN, TORUS, Unresolved
+from casadi_skin.zero.kinds import BRANCH_POINT, CROSSING_KINDS, FOLD, KREIN, TORUS, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 
@@ -246,7 +246,25 @@ class _Free(_OrbitSearch):
         return self.sampler.free(point)
 
     def passages(self, stretch: SampledStretch) -> Iterator[Crossing]:
-        yield from stretch.crossings(CROSSING_KINDS)
+        found = list(stretch.crossings(CROSSING_KINDS))
+        turns = sum(one.kind == BRANCH_POINT for one in found) == 1 and self._turns(stretch)
+        yield from (one._replace(kind=FOLD) if turns and one.kind == BRANCH_POINT else one for one in found)
+
+    def _turns(self, stretch: SampledStretch) -> bool:
+        """Whether the one multiplier that passes 1 does so at a fold where the rate of the parameter is rounding.
+
+        There det F_x changes its sign, that of the rate times that of det [F_x F_p; row]: at a branch point the
+        latter changes. On a part of the orbit that a symmetry continues neither shows what breaks the symmetry.
+        """
+        ends = [sample.point for sample in (stretch.first, stretch.last)]
+        still = max(abs(rate(end)) for end in ends) <= STILL_RATE
+        if not still or (self.space.periodic is not None and self.space.symmetry.value != 1.0):
+            return False
+        solver, rows = self.solver.levels.solver(self.last.problem), [self.metric(end) * end.tangent for end in ends]
+        one, other = (
+            solver.orientation(end.problem.evaluate(end.z)[1], row) for end, row in zip(ends, rows, strict=True)
+        )
+        return one * other > 0.0
 
 
 class _Paired(_OrbitSearch):

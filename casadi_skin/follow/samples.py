@@ -275,7 +275,8 @@ class SampledStretch:
             height = (1.0 - share) * first.imag + share * last.imag
             real = is_real(first, turn) and is_real(last, turn)
             if real or height > 0.0:
-                angle, sign = float(abs(first.imag) if real else height), 1 if last.real > first.real else -1
+                outside = last if last.real > 0.0 else first  # real multipliers that change their sign pass zero inside
+                angle, sign = float(abs(outside.imag) if real else height), 1 if last.real > first.real else -1
                 kind = kinds[2] if not real else kinds[1] if angle else kinds[0]
                 yield Crossing(int(k), kind, angle, sign if real else 2 * sign)
 

@@ -14,14 +14,15 @@ from cycles_in_closed_form import Block, Truth
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.events import Event, _Free
-from casadi_skin.follow.samples import Crossing, SampledStretch
+from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
 from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, ExponentSampler, beside_on_tangent
-from casadi_skin.stability.result import Exponents
+from casadi_skin.stability.result import FULL_TURN, Exponents
+from casadi_skin.zero.kinds import CROSSING_KINDS
 from casadi_skin.zero.settings import ErrorEstimate, Point
 
 Growth = Callable[[Any], Any]
 BELLS: list[Growth] = [lambda u: np.exp(-u * u), lambda u: 1 / (1 + u * u), lambda u: 1 / np.cosh(u) ** 2]
-LINE: Any = SimpleNamespace(prolong=lambda z, other: z)
+LINE: Any = SimpleNamespace(prolong=lambda z, other: z, parameter_index=0)
 
 
 def at(s: float) -> Point:
@@ -132,3 +133,20 @@ def test_multipliers_far_from_the_circle_are_computed_once_a_point(monkeypatch: 
     computed.clear()
     near: Any = Truth((Block((-0.01, -0.3), 0.7),)).follow()
     assert len(computed) <= 1.3 * len(near.values)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_real_multiplier_that_passes_zero_within_a_step_crosses_where_it_is_outside(way: float) -> None:
+    """From 0.9 to -3.1, or back: the period doubles."""
+
+    def exponents(s: float) -> Any:
+        mu = 0.9 - 4.0 * (s if way > 0.0 else 1.0 - s)
+        values = np.array([np.log(abs(mu)) + (1j * np.pi if mu < 0.0 else 0.0)])
+        return Exponents(values, np.full(1, 1e-9)), np.array([-4.0 * way / mu], dtype=complex)
+
+    ends = [(at(s), *exponents(s)) for s in (0.0, 1.0)]
+    samples = tuple(
+        Sample(point, np.ones(1), known.values, rates, known.noise, turn=FULL_TURN) for point, known, rates in ends
+    )
+    (crossing,) = SampledStretch.of(samples).crossings(CROSSING_KINDS)
+    assert (crossing.kind, crossing.angle, crossing.jump) == ("period doubling", np.pi, int(way))

@@ -55,6 +55,45 @@ def test_bursts_of_hindmarsh_and_rose_are_followed_through_their_canard() -> Non
 
 
 @pytest.mark.slow
+def test_the_multiplier_of_a_burst_that_passes_zero_ends_at_a_period_doubling() -> None:
+    """Beside the fold of the canard it goes from 1 to -12 within a step: its sign outside the circle says the kind."""
+    x, y, z, current = symbols("x y z I")
+    rates = ca.vertcat(y - x**3 + 3 * x**2 - z + current, 1 - 5 * x**2 - y, 0.006 * (4 * (x + 1.6) - z))
+    model = OdeModel("neuron", ca.vertcat(x, y, z), rates, current)
+    rest = find_equilibrium(model, [-1.5, -10.0, 0.0], parameters={"I": 0.0}).follow("I", 4.0)
+    branch = from_hopf(rest, 0, "I", 1.6, stability=True, max_points=180)
+    kinds = [(point.kind, round(point.parameters["I"], 8)) for point in branch.special_points]
+    assert kinds[:2] == [("fold", 1.29995141), ("period doubling", 1.29995141)]
+    for point, expected in zip(branch.special_points, (1.0, -1.0), strict=False):
+        others = point.solution.floquet().others
+        np.testing.assert_allclose(others[np.argmax(np.abs(others))], expected, rtol=1e-6)
+
+
+def test_a_fold_at_which_the_rate_of_the_parameter_is_rounding_is_no_branch_point() -> None:
+    """In the canard of FitzHugh and Nagumo's equations I moves by 1e-11 where the multiplier goes from 16 to 0.1.
+
+    There F_x alone is singular: (F_x, F_I), whose least singular value is 5e-3, has one null vector, and one branch.
+    """
+    v, w, current = symbols("v w I")
+    model = OdeModel(
+        "nerve", ca.vertcat(v, w), ca.vertcat(v - v**3 / 3 - w + current, 0.08 * (v + 0.7 - 0.8 * w)), current
+    )
+    rest = find_equilibrium(model, [-1.2, -0.6], parameters={"I": 0.0}).follow("I", 2.0)
+    branch = from_hopf(rest, 0, "I", 1.0, stability=True, max_points=40)
+    (fold,) = branch.special_points
+    assert fold.kind == "fold"
+    assert fold.parameters["I"] == pytest.approx(0.3241785225, abs=5e-9)
+    point = fold.solution.point
+    (rows, columns), solver = point.problem.pattern, branch.space.point_solver
+    jacobian = np.zeros((point.problem.size - 1, point.problem.size))
+    jacobian[rows, columns] = point.problem.evaluate(point.z)[1]
+    jacobian /= np.sqrt(solver.metric(point.problem, point.z))
+    jacobian /= np.linalg.norm(jacobian, axis=1)[:, None]
+    assert np.linalg.svd(jacobian)[1][-1] > 1e-3
+    assert np.linalg.svd(jacobian[:, :-1])[1][-1] < 1e-9
+
+
+@pytest.mark.slow
 def test_a_canard_is_passed_and_the_relaxation_oscillation_followed() -> None:
     """FitzHugh and Nagumo's equations at eps = 0.01: by the angle between tangents 649 points."""
     x, y, a = symbols("x y a")
