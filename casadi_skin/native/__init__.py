@@ -8,7 +8,8 @@ tables below say how the arguments of its functions and the fields of its struct
 | source | what it computes | the same by numpy |
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
-| collocation.c | collocation equations and their factors | `zero.discretisation`, `solve.bordered` |
+| collocation.c | factors of collocation equations | `solve.bordered` |
+| equations.c | collocation equations | `zero.discretisation` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
 | program.c, places.c | expressions, operations that are alike together, or at many places | CasADi |

@@ -1,4 +1,4 @@
-"""Factors and solutions of collocation equations by the compiled kernel: collocation.c, which has the equations."""
+"""Factors and solutions of collocation equations by compiled kernels: collocation.c, equations.c."""
 
 from __future__ import annotations
 
