@@ -52,6 +52,9 @@ FUNCTIONS = {
     "collocation_factors": "aaaaraaaa",
     "collocation_solve": "aaia",
     "collocation_equations": "aaaaa",
+    "collocation_applied": "aaaa",
+    "collocation_missed": "aaaaaa",
+    "collocation_interpolated": "aaiaiiaai",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",
@@ -166,12 +169,15 @@ class Structure:
 
     Arguments:
         kinds: of the fields.
-        fields: numbers, and contiguous arrays.
+        fields: numbers, and contiguous arrays, None where a kernel does without.
     """
 
     def __init__(self, kinds: str, *fields: Any) -> None:
         self._fields = fields
-        words = [address(field) if kind == "a" else field for kind, field in zip(kinds, fields, strict=True)]
+        words = [
+            field or 0 if kind != "a" or field is None else address(field)
+            for kind, field in zip(kinds, fields, strict=True)
+        ]
         packed = struct.pack("=" + kinds.replace("i", "q").replace("a", "Q").replace("r", "d"), *words)
         self._words = np.frombuffer(packed, dtype=np.int64)
         self.__array_interface__ = self._words.__array_interface__

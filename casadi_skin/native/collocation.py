@@ -7,7 +7,9 @@ import numpy as np
 from casadi_skin.native import LANES, Array, Indices, Structure, give_back, kernels, memory_of
 
 LAYOUT = 20 * "i" + "aaarra"
-EQUATIONS = 12 * "i" + 14 * "a"
+EQUATIONS = 12 * "i" + 21 * "a"
+CHECKS = 3 * "i" + 7 * "a"
+INTERPOLATION = 3 * "i" + 2 * "a"
 
 
 class CollocationKernel:

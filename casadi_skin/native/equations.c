@@ -1,25 +1,77 @@
-/* Collocation equations on K intervals: residual and Jacobian; see zero/discretisation.py. */
+/* Collocation equations on K intervals, R increments and d stages in each; see zero/discretisation.py.
 
+   Unknowns are x_0, X_01 .. X_0q, x_1, ..., x_K in the order of time, R = q + 1, n numbers each, then m scalars; numbers
+   are the lengths of the intervals, which sum to 1, then the constants of the model. Equations are
+
+       x_i - x_0 - h sum_j a_ij f(s_j, X_j), i = 1 .. R, in each interval, then conditions and integrals. */
+
+#include <math.h>
 #include <string.h>
 
 #include "kernel.h"
 
-/* What a model gives at the d stages of K intervals, one stage after the other, and at both ends; matrices by columns. */
+enum { VALUES = 64 }; /* of an interval, at most */
+static const double ON_VALUE = 1e-14; /* distance of a place from a value that is rounding, of the interval */
+
+/* A model at K d + 1 places, the stages with the last one twice or the check points of the defect, and at both ends;
+   matrices by columns. Functions that are no lists of operations, whose `of` is 0, are evaluated by CasADi before. */
 typedef struct {
     int64_t n, K, R, d, m, entries, conditions, integrals, nonzeros; /* entries of df/dx that are not zero */
     int64_t by_ends[3];                   /* how many entries derivatives of the conditions have */
     const double *extended, *differences; /* weights of the increments, (R, d); constant parts of the non-zeros */
     const int64_t *stiff, *rest;          /* non-zeros that take derivatives by the states at stages, and all others */
     const double *field, *by_states, *by_scalars, *condition, *by_end[3], *integrand, *by_x, *by_s;
+    const places *of_field, *of_conditions, *of_integrands; /* of (s, x, scalars, constants); x_0, x_K for s, x */
+    const double *nodes;                                    /* of the stages, (d) */
+    const int64_t *stages, *rows, *columns; /* which of the values of an interval are stages; of the non-zeros */
 } equations;
 
-/* Residual and non-zeros of the Jacobian of x_i - x_0 - h sum_j a_ij f_j, i = 1 .. R, in each interval, then of the
-   conditions and of the integrals. The last R is the end of the interval, whose weights are those of integrals. */
-KERNEL(collocation_equations)(const equations *e, const double *z, const double *lengths, double *residual,
+static int64_t state_values(const equations *e) { return e->n * (e->K * e->R + 1); }
+
+/* Scalars and constants at all places of a function. */
+static void give_numbers(const equations *e, const places *p, const double *z, const double *numbers)
+{
+    const double *given[2] = {z + state_values(e), numbers + e->K};
+    for (int a = 0; a < 2; a++)
+        for (int64_t size = p->argument_sizes[2 + a], i = 0; i < p->count; i++)
+            memcpy(p->argument[2 + a] + i * size, given[a], (size_t)size * sizeof(double));
+}
+
+static void at_stages(const equations *e, const places *p, const double *z, const double *numbers)
+{
+    double *s = p->argument[0], *x = p->argument[1], before = 0.0;
+    give_numbers(e, p, z, numbers);
+    for (int64_t k = 0; k < e->K; k++) {
+        const double after = before + numbers[k], start = after - numbers[k];
+        for (int64_t j = 0; j < e->d; j++, x += e->n) {
+            *s++ = start + numbers[k] * e->nodes[j];
+            memcpy(x, z + (k * e->R + e->stages[j]) * e->n, (size_t)e->n * sizeof(double));
+        }
+        before = after;
+    }
+    *s = s[-1];
+    memcpy(x, x - e->n, (size_t)e->n * sizeof(double));
+    NAMED(at_places)(p);
+}
+
+/* Residual and non-zeros of the Jacobian. The last of the R values is the end of the interval, whose weights are those of
+   integrals. */
+KERNEL(collocation_equations)(const equations *e, const double *z, const double *numbers, double *residual,
                               double *nonzeros)
 {
     const int64_t n = e->n, d = e->d, own = e->integrals, scalars = e->m * n;
     const int64_t *stiff = e->stiff, *rest = e->rest;
+    const double *lengths = numbers;
+    if (e->of_field)
+        at_stages(e, e->of_field, z, numbers);
+    if (e->of_integrands)
+        at_stages(e, e->of_integrands, z, numbers);
+    if (e->of_conditions) {
+        give_numbers(e, e->of_conditions, z, numbers);
+        memcpy(e->of_conditions->argument[0], z, (size_t)n * sizeof(double));
+        memcpy(e->of_conditions->argument[1], z + state_values(e) - n, (size_t)n * sizeof(double));
+        NAMED(at_places)(e->of_conditions);
+    }
     memcpy(nonzeros, e->differences, (size_t)e->nonzeros * sizeof(double));
     for (int64_t k = 0; k < e->K; k++, z += e->R * n)
         for (int64_t i = 0; i < e->R; i++, residual += n) {
@@ -62,6 +114,141 @@ KERNEL(collocation_equations)(const equations *e, const double *z, const double 
             nonzeros[*rest++] = weight * e->by_x[k * own * n + i];
         for (int64_t i = 0; i < own * e->m; i++)
             nonzeros[by_scalars[i]] += weight * e->by_s[k * own * e->m + i];
+    }
+    return 0;
+}
+
+/* The Jacobian times a step, (size - 1). */
+KERNEL(collocation_applied)(const equations *e, const double *nonzeros, const double *step, double *sums)
+{
+    memset(sums, 0, (size_t)(e->n * e->K * e->R + e->conditions + e->integrals) * sizeof(double));
+    for (int64_t i = 0; i < e->nonzeros; i++)
+        sums[e->rows[i]] += nonzeros[i] * step[e->columns[i]];
+    return 0;
+}
+
+/* Weights of the defect at check points of an interval, see zero/butcher.py: q inner ones, and of all places, which are
+   the start, the inner ones and the end, `count` from number `first` on. */
+typedef struct {
+    int64_t q, first, count;
+    const double *inner, *values, *slopes, *increments, *between; /* (q), (q, d + 1), (count, d + 1), (R, count), (q, count) */
+    const double *at_stages, *at_checks;                         /* weights of integrals, (d), (count) */
+} checks;
+
+static inline double product(const double *weights, const double *values, int64_t count, int64_t apart)
+{
+    double sum = 0.0;
+    for (int64_t i = 0; i < count; i++)
+        sum += weights[i] * values[i * apart];
+    return sum;
+}
+
+/* Which of the places of all check points, the inner ones of all intervals and then their ends, is one of an interval. */
+static int64_t place_of(const equations *e, const checks *c, int64_t k, int64_t i)
+{
+    i += c->first;
+    return i == 0 ? e->K * c->q + k : i > c->q ? e->K * c->q + k + 1 : k * c->q + i - 1;
+}
+
+static void at_checks(const equations *e, const checks *c, const places *p, const double *z, const double *numbers)
+{
+    const int64_t n = e->n, inside = e->K * c->q;
+    double *s = p->argument[0], *x = p->argument[1], place = 0.0;
+    give_numbers(e, p, z, numbers);
+    for (int64_t k = 0; k <= e->K; k++) {
+        const double *first = z + k * e->R * n;
+        s[inside + k] = place;
+        memcpy(x + (inside + k) * n, first, (size_t)n * sizeof(double));
+        for (int64_t i = 0; k < e->K && i < c->q; i++) {
+            s[k * c->q + i] = place + numbers[k] * c->inner[i];
+            for (int64_t a = 0; a < n; a++) {
+                double sum = 0.0;
+                for (int64_t j = 1; j <= e->d; j++)
+                    sum += c->values[i * (e->d + 1) + j] * (first[j * n + a] - first[a]);
+                x[(k * c->q + i) * n + a] = first[a] + sum;
+            }
+        }
+        if (k < e->K)
+            place += numbers[k];
+    }
+    NAMED(at_places)(p);
+}
+
+/* The residual in a method of twice as many stages, (size - 1), and the integral of the defect from the start of its
+   interval to each inner check point, less the polynomial through those at the stages, (K q, n). */
+KERNEL(collocation_missed)(const equations *e, const checks *c, const double *z, const double *numbers, double *residual,
+                           double *between)
+{
+    const int64_t n = e->n, d = e->d, own = e->integrals, bottom = n * e->K * e->R;
+    double defects[VALUES];
+    memset(residual + bottom, 0, (size_t)(e->conditions + own) * sizeof(double));
+    if (own) { /* integrals by the method of twice as many stages less those by this one */
+        at_stages(e, e->of_integrands, z, numbers);
+        for (int64_t k = 0; k < e->K; k++)
+            for (int64_t i = 0; i < own; i++) {
+                const double *values = e->integrand + k * d * own + i;
+                residual[bottom + e->conditions + i] +=
+                    numbers[k] * (product(c->at_stages, values, d, own) -
+                                  product(e->extended + (e->R - 1) * d, values, d, own));
+            }
+        at_checks(e, c, e->of_integrands, z, numbers);
+        for (int64_t k = 0; k < e->K; k++)
+            for (int64_t j = 0; j < c->count; j++)
+                for (int64_t i = 0; i < own; i++)
+                    residual[bottom + e->conditions + i] +=
+                        numbers[k] * c->at_checks[j] * e->integrand[place_of(e, c, k, j) * own + i];
+    }
+    at_checks(e, c, e->of_field, z, numbers);
+    for (int64_t k = 0; k < e->K; k++)
+        for (int64_t a = 0; a < n; a++) {
+            const double *values = z + k * e->R * n + a;
+            for (int64_t i = 0; i < c->count; i++) {
+                double slope = 0.0;
+                for (int64_t j = 1; j <= d; j++)
+                    slope += c->slopes[i * (d + 1) + j] * (values[j * n] - values[0]);
+                defects[i] = numbers[k] * e->field[place_of(e, c, k, i) * n + a] - slope;
+            }
+            for (int64_t i = 0; i < e->R; i++)
+                residual[(k * e->R + i) * n + a] = -product(c->increments + i * c->count, defects, c->count, 1);
+            for (int64_t i = 0; i < c->q; i++)
+                between[(k * c->q + i) * n + a] = product(c->between + i * c->count, defects, c->count, 1);
+        }
+    return 0;
+}
+
+/* Intervals as solutions are interpolated: support, (R + 1), and its barycentric weights. */
+typedef struct {
+    int64_t n, K, R;
+    const double *support, *barycentric;
+} interpolation;
+
+/* States of `many` solutions z, each `apart` numbers after the one before, at places between the edges of K intervals, to
+   `found`, each `after` numbers behind the one before: by the polynomials through all values of an interval, which are
+   at `support`, R + 1 of them. */
+KERNEL(collocation_interpolated)(const interpolation *of, const double *edges, int64_t many, const double *z,
+                                 int64_t apart, int64_t count, const double *at, double *found, int64_t after)
+{
+    const int64_t n = of->n, K = of->K, R = of->R;
+    for (int64_t p = 0, k = 0; p < count; p++, found += n) {
+        while (k < K - 1 && at[p] >= edges[k + 1])
+            k++;
+        while (k > 0 && at[p] < edges[k])
+            k--;
+        double weights[VALUES], sum = 0.0;
+        const double own = (at[p] - edges[k]) / (edges[k + 1] - edges[k]);
+        int64_t hit = -1;
+        for (int64_t j = 0; j <= R; j++) {
+            const double offset = own - of->support[j];
+            if (fabs(offset) < ON_VALUE)
+                hit = j;
+            weights[j] = of->barycentric[j] / offset;
+            sum += weights[j];
+        }
+        for (int64_t v = 0; v < many; v++) {
+            const double *values = z + v * apart + k * R * n;
+            for (int64_t a = 0; a < n; a++)
+                found[v * after + a] = hit < 0 ? product(weights, values + a, R + 1, n) / sum : values[hit * n + a];
+        }
     }
     return 0;
 }

@@ -58,3 +58,14 @@ typedef struct {
 } program;
 
 void NAMED(evaluate)(const program *p, int64_t first, int64_t last);
+
+/* A function at many places. */
+typedef struct {
+    int64_t count, together, arguments, results; /* places, those that go together, arguments and results */
+    const program *of;                           /* whose values begin with the entries of all arguments, each a list */
+    const int64_t *argument_sizes, *result_sizes;
+    double *const *argument; /* (count, size) each */
+    double *const *result;
+} places;
+
+int NAMED(at_places)(const places *p);

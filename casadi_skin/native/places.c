@@ -2,14 +2,6 @@
 
 #include "kernel.h"
 
-typedef struct {
-    int64_t count, together, arguments, results; /* places, those that go together, arguments and results */
-    const program *of;                           /* whose values begin with the entries of all arguments, each a list */
-    const int64_t *argument_sizes, *result_sizes;
-    const double *const *argument; /* (count, size) each */
-    double *const *result;
-} places;
-
 KERNEL(at_places)(const places *p)
 {
     for (int64_t first = 0; first < p->count; first += p->together) {

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from collections.abc import Sequence
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -16,12 +16,12 @@ TOGETHER = 32  # places whose numbers go through all operations together: of a h
 
 
 @lru_cache(maxsize=64)
-def _listed(function: ca.Function) -> tuple[Indices, Indices, Array] | None:
+def _listed(function: ca.Function, together: int) -> tuple[Indices, Indices, Array] | None:
     """Operations on lists, where the results are, and first values; None where an operation is not among KINDS."""
     if not function.is_a("SXFunction"):
         return None
     program, numbers = read(function)
-    first, values = sum(program.inputs), np.zeros((sum(program.inputs) + len(program.operations), TOGETHER))
+    first, values = sum(program.inputs), np.zeros((sum(program.inputs) + len(program.operations), together))
     results = [entry for entries in program.results for entry in entries if entry is not None]
     if any(code not in KINDS for code, *_ in program.operations):
         return None
@@ -30,19 +30,20 @@ def _listed(function: ca.Function) -> tuple[Indices, Indices, Array] | None:
         if code == ca.OP_CONST:
             values[k] = next(following)
         else:
-            at, one, other = (TOGETHER * place for place in (k, places[0], places[-1]))
-            lists.append((KINDS[code], TOGETHER, at, one, 1, other, 1))
-    return np.array(lists, dtype=np.int64).reshape(-1, 7), TOGETHER * np.array(results, dtype=np.int64), values
+            at, one, other = (together * place for place in (k, places[0], places[-1]))
+            lists.append((KINDS[code], together, at, one, 1, other, 1))
+    return np.array(lists, dtype=np.int64).reshape(-1, 7), together * np.array(results, dtype=np.int64), values
 
 
 def at_places(
     function: ca.Function, arguments: Sequence[Array], results: Sequence[Array], count: int
-) -> Callable[[], object] | None:
-    """What evaluates the function at `count` places; None where there is no kernel, or it is not made of operations.
+) -> Structure | None:
+    """The function at `count` places, as kernels take it; None without them, and of one that is not of operations.
 
     Arguments and results are arrays that it reads and writes, shape (count, entries) each.
     """
-    listed = _listed(function) if kernels() else None
+    together = min(count, TOGETHER)
+    listed = _listed(function, together) if kernels() else None
     if listed is None:
         return None
     sizes = [np.array([array.size // count for array in arrays], dtype=np.int64) for arrays in (arguments, results)]
@@ -50,5 +51,4 @@ def at_places(
         return None
     addresses = [np.array([address(array) for array in arrays], dtype=np.int64) for arrays in (arguments, results)]
     program = Structure(PROGRAM, 0, 0, len(listed[0]), *listed)
-    layout = Structure(PLACES, count, TOGETHER, len(arguments), len(results), program, *sizes, *addresses)
-    return partial(kernels()["at_places"], layout)
+    return Structure(PLACES, count, together, len(arguments), len(results), program, *sizes, *addresses)

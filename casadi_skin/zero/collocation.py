@@ -23,6 +23,8 @@ import numpy as np
 
 from casadi_skin.model.conserved import SymmetryClass, pinned_components, unfolded_phases
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native import Structure, kernels
+from casadi_skin.native.collocation import INTERPOLATION
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.discretisation import Discretisation, Formulation
@@ -43,6 +45,7 @@ class CollocationEquations(Problem):
     table: CollocationTable
     values: Array
     in_order = True
+    mesh: mesh.Mesh
     _placing: tuple[bytes, Array] | None = None
 
     def _discretise(
@@ -54,7 +57,11 @@ class CollocationEquations(Problem):
         self.columns = intervals * table.ends.size + 1
         self.states = formulation.states * self.columns
         self._size = self.states + int(formulation.scalars.numel())
-        self.constants = mesh.uniform(intervals)
+        self.mesh = mesh.Mesh(mesh.uniform(intervals), table.ends)
+
+    @property
+    def constants(self) -> Array:  # type: ignore[override]
+        return self.mesh.lengths
 
     @property
     def size(self) -> int:
@@ -91,6 +98,9 @@ class CollocationEquations(Problem):
     def _values(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         return self.discretisation(z, numbers)
 
+    def applied(self, z: Array, step: Array) -> Array:
+        return self.discretisation.applied(z, self.numbers, step)
+
     @property
     def numbers(self) -> Array:
         return np.concatenate([self.constants, self.values]) if self.values.size else self.constants
@@ -108,7 +118,7 @@ class CollocationEquations(Problem):
         self.check_constants(constants)
         _ = self.discretisation
         other = copy.copy(self)
-        other.constants = constants
+        other.mesh = mesh.Mesh(constants, self.table.ends)
         return other
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
@@ -173,22 +183,48 @@ class CollocationEquations(Problem):
 
     def _fractions(self) -> Array:
         """Places of the columns of state values in [0, 1], shape (columns,)."""
-        starts = mesh.edges(self.constants)[:-1]
-        inner = starts[:, None] + self.constants[:, None] * self.table.ends
-        return np.concatenate([[0.0], inner.ravel()])
+        return self.mesh.places
 
     def _interpolate(self, z: Array, fractions: Array) -> Array:
         """States at fractions of the interval, shape (len(fractions), components)."""
-        values = z[: self.states].reshape(self.columns, self.formulation.states)
+        found = np.empty((fractions.size, self.formulation.states))
+        self._interpolate_all(z[None], fractions, found[None])
+        return found
+
+    def _interpolate_all(self, z: Array, fractions: Array, found: Array) -> None:
+        """Several solutions (any, size) likewise, to the first numbers of each of the arrays `found`."""
+        count = self.formulation.states * fractions.size
+        if kernels():
+            z, apart = np.ascontiguousarray(z), found.size // len(z)
+            data = self.mesh.edges, len(z), z, z.shape[1], fractions.size, np.ascontiguousarray(fractions), found, apart
+            kernels()["collocation_interpolated"](self.kept("interpolation", self._interpolation), *data)
+            return
         weights_at = _weights if fractions.size <= FEW_PLACES else _weights.__wrapped__
         columns, weights = weights_at(*(array.tobytes() for array in (self.constants, self.table.ends, fractions)))
-        return np.asarray(np.einsum("tk,tkn->tn", weights, values[columns]))
+        for one, to in zip(z, found.reshape(len(z), -1), strict=True):
+            values = one[: self.states].reshape(self.columns, self.formulation.states)
+            to[:count] = np.einsum("tk,tkn->tn", weights, values[columns]).ravel()
+
+    def _interpolation(self) -> Structure:
+        support = np.append(0.0, self.table.ends)
+        sizes = self.formulation.states, self.resolution, self.table.ends.size
+        return Structure(INTERPOLATION, *sizes, support, _barycentric(support))
+
+    def all_prolonged(self, z: Array, finer: Self) -> Array:
+        if self.is_placed_as(finer):
+            return z
+        found = np.empty((len(z), finer.size))
+        self._interpolate_all(z, finer.mesh.places, found)
+        found[:, finer.states :] = z[:, self.states :]
+        return found
 
     def prolong(self, z: Array, finer: Self) -> Array:
-        same = self.constants is finer.constants or np.array_equal(self.constants, finer.constants)
-        if same and self.table is finer.table:
-            return z
-        return np.concatenate([self._interpolate(z, finer._fractions()).ravel(), z[self.states :]])
+        return z if self.is_placed_as(finer) else np.asarray(self.all_prolonged(z[None], finer)[0])
+
+    def is_placed_as(self, other: CollocationEquations) -> bool:
+        """Whether unknowns of both are values at the same places."""
+        same = self.mesh is other.mesh or np.array_equal(self.constants, other.constants)
+        return same and self.table is other.table
 
     def left_by(self, finer: CollocationEquations) -> float:
         """The part of the error at ends of intervals that a finer mesh leaves: it falls faster there."""

@@ -8,9 +8,9 @@ where, is worked out once, and serves all meshes and solutions of that number; l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.expressions import Expression
 from casadi_skin.native import Structure as Compiled
 from casadi_skin.native import kernels
-from casadi_skin.native.collocation import EQUATIONS
+from casadi_skin.native.collocation import CHECKS, EQUATIONS
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Buffers, Indices
 
@@ -119,7 +119,7 @@ class Formulation:
     @cached_property
     def condition_buffers(self) -> Buffers:
         """The same, called with arrays."""
-        return Buffers(self.condition_function)
+        return Buffers(self.condition_function, listed=True)
 
     @cached_property
     def patterns(self) -> tuple[Pattern, tuple[Pattern, ...]]:
@@ -220,6 +220,7 @@ class Discretisation:
         formulation, table: the problem and the method.
         structure: where entries of the Jacobian go.
         rows, columns: places of its non-zeros, column by column.
+        equations: their number.
         shared: solvers that have been made for these equations, by name.
     """
 
@@ -234,26 +235,38 @@ class Discretisation:
         self._field = Buffers(formulation.field_function, places)
         self._conditions = formulation.condition_buffers
         self._integrals = formulation.integrals
-        if self._integrals:
-            self._integrands = Buffers(formulation.integrand_function, places)
+        self._integrands = Buffers(formulation.integrand_function, places) if self._integrals else None
         self._counts = counts = int(formulation.conditions.numel()), formulation.integrals
+        self.equations = self._states - self._n + sum(counts)
         sizes = self._n, intervals, table.stages, self._R, self._m
         large = places * self._R * len(formulation.patterns[0][0]) > LARGE_NONZEROS
         structure = structure_of.__wrapped__ if large else structure_of
         self.structure: Structure = structure(*sizes, counts, *formulation.patterns)
         self.rows, self.columns = self.structure.rows, self.structure.columns
         self._stage, self._start = self.structure.stage, self.structure.start
-        self._compiled = self._assembly() if kernels() else None
 
-    def _assembly(self) -> Callable[..., object]:
-        """The compiled kernel that assembles the equations: of z, lengths, the residual and the non-zeros."""
+    @cached_property
+    def compiled(self) -> Compiled:
+        """These equations as kernels take them."""
         of, (condition, *by_ends) = self.structure, self._conditions.results
         numbers = [self._n, self._K, self._R, self._d, self._m, len(self.formulation.patterns[0][0]), *self._counts]
-        integrals = self._integrands.results if self._integrals else 3 * [np.zeros(0)]
+        values, by_x, by_s = self._integrands.results if self._integrands else 3 * [None]
         arrays = [np.ascontiguousarray(self.table.extended), of.differences, of.stiff, of.rest, *self._field.results]
         sizes = [of.rows.size, *(part.size for part in by_ends)]
-        layout = Compiled(EQUATIONS, *numbers, *sizes, *arrays, condition, *by_ends, *integrals)
-        return partial(kernels()["collocation_equations"], layout)
+        functions = [each.places if each else None for each in (self._field, self._conditions, self._integrands)]
+        stages = np.array(self.table.stages), of.rows, of.columns
+        data = *arrays, condition, *by_ends, values, by_x, by_s, *functions, self.table.nodes, *stages
+        return Compiled(EQUATIONS, *numbers, *sizes, *data)
+
+    @cached_property
+    def checks(self) -> Compiled | None:
+        """The check points of the defect as kernels take them; None where a function is none of operations."""
+        compiled = all(each is None or each.places is not None for each in (self._field, self._integrands))
+        table = self.table.defect
+        weights = table.inner, table.values, table.slopes, table.increments, table.between, *table.quadrature
+        first, count = int(np.argmax(table.checked)), int(np.count_nonzero(table.checked))
+        arrays = map(np.ascontiguousarray, weights)
+        return Compiled(CHECKS, table.inner.size, first, count, *arrays) if compiled else None
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.
@@ -298,25 +311,26 @@ class Discretisation:
 
     def _assembled(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         n, K, d, R, m = self._n, self._K, self._d, self._R, self._m
-        arguments = self.stages(z, numbers)
-        values, (_, _, scalars, constants), weights = z[: self._states].reshape(-1, n), arguments, self._weights
-        field, by_states, by_scalars = self._at_stages(self._field, arguments)
-        self._by_states = by_states.copy()
-        if self._compiled is not None:
-            self._conditions(values[0], values[-1], scalars, constants)
-            if self._integrals:
-                self._integrands(*arguments)
-            found = np.empty(self._states - n + sum(self._counts)), np.empty(self.rows.size)
-            self._compiled(np.ascontiguousarray(z), numbers, *found)
+        if kernels():
+            for function in (self._field, self._conditions, self._integrands):
+                if function is not None and function.places is None:
+                    function(*(self._ends(z, numbers) if function is self._conditions else self.stages(z, numbers)))
+            found = np.empty(self.equations), np.empty(self.rows.size)
+            kernels()["collocation_equations"](self.compiled, np.ascontiguousarray(z), numbers, *found)
+            self._by_states = self._by_stages(self._field.results[1]).copy()
             return found
+        arguments = self.stages(z, numbers)
+        values, weights = z[: self._states].reshape(-1, n), self._weights
+        field, by_states, by_scalars = map(self._by_stages, self._field(*arguments))
+        self._by_states = by_states.copy()
         increments = weights @ field.reshape(K, d, n)
         ends = values[1:].reshape(K, R, n) - values[self._start][:, None, :]
-        condition, *derivatives = self._conditions(values[0], values[-1], scalars, constants)
+        condition, *derivatives = self._conditions(*self._ends(z, numbers))
         residual = [(ends - increments).ravel(), condition]
         rest = [-(weights @ by_scalars.reshape(K, d, m * n)).ravel(), *derivatives]
-        if self._integrals:
+        if self._integrands is not None:
             own, quadrature = self._integrals, self._quadrature
-            value, by_x, by_s = self._at_stages(self._integrands, arguments)
+            value, by_x, by_s = map(self._by_stages, self._integrands(*arguments))
             residual.append(quadrature @ value.reshape(K * d, own))
             rest += [(quadrature[:, None] * by_x.reshape(K * d, -1)).ravel(), quadrature @ by_s.reshape(K * d, -1)]
         nonzeros = self.structure.differences.copy()
@@ -325,15 +339,29 @@ class Discretisation:
         nonzeros[self.structure.rest] = np.concatenate(rest)
         return np.concatenate(residual), nonzeros
 
-    def _at_stages(self, function: Buffers, arguments: Sequence[Array]) -> list[Array]:
+    def _ends(self, z: Array, numbers: Array) -> tuple[Array, Array, Array, Array]:
+        """The states at the start and at the end, the scalars and the constants."""
+        count, n = self._states, self._n
+        return z[:n], z[count - n : count], z[count:], numbers[self._K :]
+
+    def _by_stages(self, found: Array) -> Array:
         """Results of a mapped function, one row a stage."""
-        return [found.reshape(self._K * self._d + 1, -1)[:-1] for found in function(*arguments)]
+        return found.reshape(self._K * self._d + 1, -1)[:-1]
+
+    def applied(self, z: Array, numbers: Array, step: Array) -> Array:
+        """The Jacobian at z times a step."""
+        nonzeros = self(z, numbers)[1]
+        if not kernels():
+            return np.asarray(np.bincount(self.rows, nonzeros * step[self.columns], self.equations), dtype=float)
+        found = np.empty(self.equations)
+        kernels()["collocation_applied"](self.compiled, nonzeros, np.ascontiguousarray(step), found)
+        return found
 
     def jacobians(self, z: Array, numbers: Array) -> Array:
         """Derivatives of the field by the states at the stages, dense, shape (K d, n, n)."""
         if z.tobytes() + numbers.tobytes() == self._at:
             return self._dense(self._by_states)
-        return self._dense(self._at_stages(self._field, self.stages(z, numbers))[1])
+        return self._dense(self._by_stages(self._field(*self.stages(z, numbers))[1]))
 
     def jacobians_at(self, *arguments: Array) -> Array:
         """The same at (s, x, scalars, constants), as many places as there are stages and one more."""
@@ -348,7 +376,7 @@ class Discretisation:
     def along(self, *arguments: Array) -> tuple[Array, Array]:
         """Field and integrands at (s, x, scalars, constants), as many places as there are stages and one more."""
         field = self._field(*arguments)[0].reshape(-1, self._n).copy()
-        if not self._integrals:
+        if self._integrands is None:
             return field, np.zeros((len(field), 0))
         return field, self._integrands(*arguments)[0].reshape(-1, self._integrals).copy()
 
@@ -366,6 +394,10 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
         check point, less the polynomial through those at the stages, shape (inner points, states).
     """
     of, table, K, d = equations.formulation, equations.table.defect, equations.intervals, equations.table.degree
+    if kernels() and equations.checks is not None:
+        found = np.empty(equations.equations), np.empty((K * table.inner.size, of.states))
+        kernels()["collocation_missed"](equations.compiled, equations.checks, z, numbers, *found)
+        return found
     lengths, arguments = numbers[:K], _at_checks(equations, z, numbers)
     field, integrands = (_by_intervals(equations, found) for found in equations.along(*arguments))
     rises = polynomials(equations, z)[1]

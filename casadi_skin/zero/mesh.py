@@ -8,6 +8,9 @@ of neighbouring intervals, and its root of order d + 1 is spread evenly (de Boor
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from casadi_skin.zero.problem import Array
@@ -34,6 +37,25 @@ def edges(lengths: Array) -> Array:
     """Ends of the intervals from 0 to 1, shape (intervals + 1,)."""
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     return np.asarray(ends / ends[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Lengths of intervals, each with values at its start and at `ends` of it, and what is made of them, once."""
+
+    lengths: Array
+    ends: Array
+
+    @cached_property
+    def edges(self) -> Array:
+        """Ends of the intervals from 0 to 1, shape (intervals + 1,)."""
+        return edges(self.lengths)
+
+    @cached_property
+    def places(self) -> Array:
+        """Places of all values in [0, 1], shape (intervals * ends + 1,)."""
+        inner = self.edges[:-1, None] + self.lengths[:, None] * self.ends
+        return np.concatenate([[0.0], inner.ravel()])
 
 
 def density(lengths: Array, leading: Array, degree: int, noise: float = 0.0) -> Array:

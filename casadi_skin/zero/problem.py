@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from enum import Enum
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Protocol, Self, TypeVar
 
 import casadi as ca
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native import kernels
 from casadi_skin.native.places import at_places
 
 Array = NDArray[np.float64]
@@ -65,15 +66,17 @@ class Buffers:
     """Calls of a compiled function without conversions: arguments and results live in arrays given to it once.
 
     At several places, `count` of them, every argument has a row for each, or one for all of them, and results follow
-    one another. The arrays of the `results` are the same for all calls.
+    one another. The arrays of the `results` are the same for all calls. `places` is the function as other kernels take
+    it, asked for where there are several places, or by `listed`; None where there are none or it is not of operations.
     """
 
-    def __init__(self, function: ca.Function, count: int = 1) -> None:
+    def __init__(self, function: ca.Function, count: int = 1, listed: bool = False) -> None:
         self._arguments = [np.zeros((count, function.nnz_in(i))) for i in range(function.n_in())]
         self.results = [np.zeros(count * function.nnz_out(i)) for i in range(function.n_out())]
-        by_lists = at_places(function, self._arguments, self.results, count) if count > 1 else None
-        if by_lists is not None:
-            self._trigger = by_lists
+        asked = listed or count > 1
+        self.places = at_places(function, self._arguments, self.results, count) if asked else None
+        if self.places is not None:
+            self._trigger = partial(kernels()["at_places"], self.places)
             return
         self._buffer, self._trigger = (function.map(count) if count > 1 else function).buffer()
         for i, argument in enumerate(self._arguments):

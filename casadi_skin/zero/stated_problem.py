@@ -62,7 +62,7 @@ class BoundaryProblem(CollocationEquations):
         self.statement, self.walking, self.end = statement, walking, end
         self.floors, self.scalar_floors = floors, scalar_floors
         self._discretise(formulation, intervals, table, statement.constants(walking, end))
-        self.constants = mesh.with_edges(self.constants, statement.switching)
+        self.mesh = mesh.Mesh(mesh.with_edges(self.constants, statement.switching), table.ends)
 
     def with_constants(self, constants: Array) -> Self:
         return super().with_constants(mesh.with_edges(constants, self.statement.switching))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from kernels import needs_kernels, numpy_alone
 
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.find import space_of
@@ -12,6 +13,7 @@ from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero import butcher
 from casadi_skin.zero.butcher import CollocationTable
+from casadi_skin.zero.discretisation import missed
 
 
 def oscillator() -> BoundaryValueProblem:
@@ -37,6 +39,28 @@ def test_the_assembled_equations_are_those_of_the_graph(options: dict[str, objec
     matrix[problem.pattern] = nonzeros
     np.testing.assert_allclose(matrix, jacobian.full(), rtol=0, atol=1e-14)
     assert np.array_equal(problem.pattern, jacobian.sparsity().get_triplet())
+
+
+@needs_kernels
+@pytest.mark.parametrize("options", [{}, {"transcription": "radau"}, {"degree": 1}, {"degree": 12}])
+def test_defects_products_and_other_meshes_are_those_by_numpy(options: dict[str, object]) -> None:
+    problem = space_of(oscillator(), [1.0, 2.0], options).levels.problem(8)
+    generator = np.random.default_rng(0)
+    z, steps = generator.normal(size=problem.size), generator.normal(size=(3, problem.size))
+    lengths, others, inside = (generator.uniform(0.1, 1.0, count) for count in (8, 8, 50))
+    problem, other = (problem.with_constants(one / one.sum()) for one in (lengths, others))
+
+    def found() -> list[np.ndarray]:
+        problem.discretisation._at = b""  # nothing is kept
+        parts = *problem.evaluate(z), *missed(problem.discretisation, z, problem.numbers)
+        places = np.concatenate([problem._fractions(), inside])
+        return [*parts, problem.applied(z, steps[0]), problem.all_prolonged(steps, other), problem.sample(z, places)]
+
+    compiled = found()
+    with numpy_alone():
+        for one, plain in zip(compiled, found(), strict=True):
+            assert one.shape == plain.shape
+            np.testing.assert_allclose(one, plain, rtol=0, atol=1e-12 * np.max(np.abs(plain), initial=0.0))
 
 
 def test_other_values_of_parameters_build_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
