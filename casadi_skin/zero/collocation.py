@@ -213,7 +213,7 @@ class CollocationEquations(Problem):
     def all_prolonged(self, z: Array, finer: Self) -> Array:
         if self.is_placed_as(finer):
             return z
-        found = np.empty((len(z), finer.size))
+        found = np.empty((len(z), finer.states + z.shape[1] - self.states))  # `finer` may have other scalars
         self._interpolate_all(z, finer.mesh.places, found)
         found[:, finer.states :] = z[:, self.states :]
         return found
