@@ -24,8 +24,8 @@ import numpy as np
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.normal_forms import critical_angle
 from casadi_skin.follow.point import ALIGNED_COSINE
-from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
-from casadi_skin.follow.search import ExponentSampler, Search, gap_between, nearest_order
+from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, assignment
+from casadi_skin.follow.search import ExponentSampler, Search, gap_between
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
 from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 OUTSIDE_STRETCH = 1e-3  # of a stretch: a special orbit farther out is another one
 SAME_EVENT = 1e-8  # of a stretch: events of one kind that near are one, of multipliers that a symmetry keeps together
 ASIDE_FRACTIONS = (0.0, 0.03, 0.2)  # of a stretch, from a root: at a branch point itself no orbit is found
-FAR_DISTANCE = 6.0  # of the changes of a logarithm on a stretch and on that before: a distance that needs no rates
 CRITICAL_LOG_MODULUS = 1e-4  # log |multiplier| of one that is on the unit circle at a requested value
 SAME_MEETING = 1e-3  # of a stretch between two orbits: meetings of two pairs that near are looked at once
 PLACES_NEAR_MEETING = 3  # places near a meeting at which it is looked whether the pairs have left the circle
@@ -83,7 +82,7 @@ def events_between(space: BoundarySpace, sampler: ExponentSampler) -> tuple[list
     """Events between the ends of a sampler, neither of them special, in order, and stretches not resolved."""
     first, last = (exponents for _, exponents in sampler.ends)
     events, gaps = list[Event](), list[Unresolved]()
-    if not first.values.size:
+    if not first.values.size or sampler.is_far():
         return events, gaps
     kind = _Free if first.pairs is None or last.pairs is None else _Paired
     search = kind(space, sampler)
@@ -137,20 +136,6 @@ class _OrbitSearch(Search):
             return None
         self._own[id(there)] = past
         return there
-
-    def on_stretch(self) -> list[Event]:
-        return [] if self.past is not None and self._is_far(self.past) else super().on_stretch()
-
-    def _is_far(self, past: Point) -> bool:
-        """Whether multipliers stay away from the circle, by their changes since the point before, without any rates."""
-        first, last = (exponents for _, exponents in self.sampler.ends)
-        if last.outside[1] or first.values.size != last.values.size:
-            return False
-        here, longer = first.values.real, self.length / -self.sigma(past)
-        before = self.sampler.here(self.own(past)).values
-        was, then = (values[nearest_order(first.values, values)].real for values in (before, last.values))
-        moves = FAR_DISTANCE * (np.abs(then - here) + longer * np.abs(here - was))
-        return bool(np.all((here * then > 0.0) & (np.minimum(np.abs(here), np.abs(then)) > moves)))
 
     def passes(self, stretch: SampledStretch) -> bool:
         clear = any(self.is_clear(end.point) for end in (stretch.first, stretch.last)) and self.balanced(stretch)
@@ -208,7 +193,8 @@ class _OrbitSearch(Search):
 
     def located(self, stretch: SampledStretch, passage: Crossing) -> Event | None:
         """The orbit at a passage."""
-        if self.space.periodic is None or self.space.symmetry.value == 1.0:
+        extended = self.space.periodic is None or self.space.symmetry.value == 1.0
+        if extended and passage.kind != FOLD:  # of one where the rate of the parameter is rounding they do not converge
             root = stretch.root(stretch.leading + passage.quantity) / stretch.length
             for aside in ASIDE_FRACTIONS:
                 fraction = root + (aside if root < 0.5 else -aside)
@@ -287,7 +273,6 @@ class _Paired(_OrbitSearch):
 
     def meeting(self, stretch: SampledStretch) -> float | None:
         from scipy.interpolate import BPoly
-        from scipy.optimize import linear_sum_assignment
 
         half, length = stretch.first.values.size // len(self.passed), stretch.length
         ends = (stretch.first, stretch.last)
@@ -295,7 +280,7 @@ class _Paired(_OrbitSearch):
         rates = np.array([sample.along(self.row)[0] * sample.rates[:half] for sample in ends]) * length
         rates = (rates * np.sqrt(1.0 + (tau - 2.0) ** 2)).real
         expected, back = tau[0] + 0.5 * rates[0], tau[1] - 0.5 * rates[1]  # those that meet go on as their rates say
-        order = linear_sum_assignment(np.abs(expected[:, None] - back))[1]
+        order = assignment(np.abs(expected[:, None] - back))
         tau[1], rates[1] = tau[1, order], rates[1, order]
         on_circle = np.flatnonzero(np.all((tau.imag == 0.0) & (np.abs(tau.real) < 2.0), axis=0))
         for n, k in enumerate(on_circle):
@@ -420,6 +405,7 @@ class Ledger:
         self.changes: list[StabilityChange] = []
         self.unresolved: list[Unresolved] = []
         self._ends: Sequence[tuple[Point, Exponents]] = ()  # of the last stretch
+        self._length = 1.0
         self._count: int | None = None  # n_u behind the last solution; None where it is not known
 
     def between(self, before: Solution, after: Solution, leaving: bool = False) -> Iterator[Solution]:
@@ -450,7 +436,9 @@ class Ledger:
         self._count = start
         past = self._ends[0] if self._ends and self._ends[-1][0] is first.point else None
         self._ends = [(end.point, end.floquet().exponents) for end in (first, last)]
-        events, gaps = events_between(self.space, ExponentSampler(self.space, *self._ends, past=past))
+        before_it, self._length = self._length, self.space.point_solver.curve(first.point, last.point)[1]
+        sampler = ExponentSampler(self.space, *self._ends, past=past, longer=self._length / before_it)
+        events, gaps = events_between(self.space, sampler)
         self.unresolved += gaps
         for event in events:
             self._passed(event.solution, self._count, self._count + event.jump, event.angle)

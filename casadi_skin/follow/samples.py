@@ -313,13 +313,21 @@ class SampledStretch:
 
 def matched(first: Sample, last: Sample, length: float, row: Array) -> Indices:
     """For each eigenvalue of one sample its place at another: the assignment with the smallest changes."""
-    from scipy.optimize import linear_sum_assignment
-
     expected = first.values + 0.5 * length * first.along(row)[0] * first.rates
     back = last.values - 0.5 * length * last.along(row)[0] * last.rates
     direct = first.apart(first.values, last.values)
     predicted = first.apart(expected, back)
-    return np.asarray(linear_sum_assignment(np.fmin(direct, predicted))[1])  # a rate may overflow
+    return assignment(np.fmin(direct, predicted))  # a rate may overflow
+
+
+def assignment(costs: Array) -> Indices:
+    """For each row a column of its own, with the smallest sum of costs."""
+    nearest = np.argmin(costs, axis=1) if costs.size else np.arange(0)
+    if len(set(nearest.tolist())) == nearest.size:  # each row has its smallest
+        return np.asarray(nearest)
+    from scipy.optimize import linear_sum_assignment
+
+    return np.asarray(linear_sum_assignment(costs)[1])
 
 
 def _sign(values: Array | float) -> Array:

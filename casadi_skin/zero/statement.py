@@ -173,18 +173,26 @@ class Statement(WithVerbs):
     def ends_at(self, parameters: Any) -> tuple[Any, Any]:
         """Start and end of the interval at parameters, numbers or expressions."""
 
-        found = (end if isinstance(end, float) else end(parameters) for end in self._ends)
+        found = (
+            end if isinstance(end, float) else parameters[end] if isinstance(end, int) else end(parameters)
+            for end in self._ends
+        )
         start, end = (end if isinstance(end, ca.SX | ca.MX) else float(end) for end in found)
         return start, end
 
     @cached_property
     def _ends(self) -> list[Any]:
-        """The ends as numbers, or as functions of the parameters."""
-        symbolic = (isinstance(end, ca.SX | ca.MX) for end in self.interval)
-        return [
-            ca.Function("t", [self.model.parameters], [end]) if given else float(end)
-            for end, given in zip(self.interval, symbolic, strict=True)
-        ]
+        """The ends as numbers, as places among the parameters, or as functions of these."""
+        found, parameters = list[Any](), self.model.parameters
+        for end in self.interval:
+            if not isinstance(end, ca.SX | ca.MX):
+                found.append(float(end))
+                continue
+            places = (k for k in range(int(parameters.numel())) if ca.is_equal(end, parameters[k], 2))
+            found.append(next(places, None))
+            if found[-1] is None:
+                found[-1] = ca.Function("t", [parameters], [end])
+        return found
 
     def along(self, name: str, expression: Expression) -> ca.Function:
         """Function (t, x, p) of an expression in these."""

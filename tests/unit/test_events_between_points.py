@@ -13,7 +13,7 @@ import pytest
 from cycles_in_closed_form import Block, Truth
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.events import Event, _Free
+from casadi_skin.follow.events import Event, _Free, events_between
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
 from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, ExponentSampler, beside_on_tangent
 from casadi_skin.stability.result import FULL_TURN, Exponents
@@ -66,10 +66,12 @@ class Line:
         """The number of events between points at places, in order."""
         space: Any = SimpleNamespace(point_solver=self, multipliers_alone=self.alone, multipliers_ahead=self.ahead)
         space.parameter, space.value = "s", lambda name, point: float(point.z[0])
-        known, found, past = [(point, self.exponents(point)) for point in map(at, places)], 0, None
+        known, found, past, before = [(point, self.exponents(point)) for point in map(at, places)], 0, None, 1.0
         for ends in pairwise(known):
-            found += len(_Free(space, ExponentSampler(space, *ends, past=past)).on_stretch())
-            past = ends[0]
+            length = float(ends[1][0].z[0] - ends[0][0].z[0])
+            sampler = ExponentSampler(space, *ends, past=past, longer=length / before)
+            found += len(events_between(space, sampler)[0])
+            past, before = ends[0], length
         return found
 
 
@@ -100,7 +102,7 @@ def test_crossings_there_and_back_within_a_step_are_found_as_often_as_with_a_sam
 
     def located(search: _Free, stretch: SampledStretch, passage: Crossing) -> Event:
         place = search.sigma(stretch.first.point) + stretch.root(stretch.leading + passage.quantity)
-        return Event(place, None, passage.kind, passage.angle, passage.jump)  # type: ignore[arg-type]
+        return Event(place / search.length, None, passage.kind, passage.angle, passage.jump)  # type: ignore[arg-type]
 
     monkeypatch.setattr(_Free, "located", located)
     random, found, planted, computed, steps = np.random.default_rng(1), 0, 0, 0, 0
