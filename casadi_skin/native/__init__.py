@@ -15,7 +15,8 @@ tables below say how the arguments of its functions and the fields of its struct
 | program.c, places.c | expressions, operations that are alike together, or at many places | CasADi |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
-| multipliers.c | maps over the intervals of collocation, products of them | `stability.full_period`, `closed_maps` |
+| interval_maps.c | maps over the intervals of collocation | `stability.full_period` |
+| multipliers.c | products of these maps | `stability.closed_maps` |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
 """
 
@@ -450,7 +451,7 @@ def eliminated(
     return logs, phases[:, 0], inverse[:, 0]
 
 
-# Maps over intervals, and products of them, (maps, n, n): multipliers.c -----------------------------------------------
+# Maps over intervals, and products of them, (maps, n, n): interval_maps.c, multipliers.c -------------------------------
 
 MOST_STATES = 16  # for which these are faster than numpy's products of matrices
 
