@@ -16,7 +16,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | interval_maps.c | maps over the intervals of collocation | `stability.full_period` |
-| multipliers.c | products of these maps | `stability.closed_maps` |
+| multipliers.c, eigenvalues.c | the multipliers of a closed chain of maps | `stability.closed_maps` |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
 """
 
@@ -64,10 +64,8 @@ FUNCTIONS = {
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
     "interval_maps": "aiiaaaaa",
-    "products": "iiaaaaa",
-    "turned": "iiiiaaaaaaa",
-    "moved": "iiaaaaaaa",
-    "triangular": "iiaaa",
+    "changes": "iiiaara",
+    "multipliers": "iiiiiriaaaaaaa",
     "series_put": "ai",
     "series_right": "ai",
     "series_solve": "aaaa",
@@ -451,53 +449,59 @@ def eliminated(
     return logs, phases[:, 0], inverse[:, 0]
 
 
-# Maps over intervals, and products of them, (maps, n, n): interval_maps.c, multipliers.c -------------------------------
+# Maps over intervals, (maps, n, n), and multipliers of their product: interval_maps.c, multipliers.c ------------------
 
 MOST_STATES = 16  # for which these are faster than numpy's products of matrices
 
 
-def interval_maps(method: Structure, lengths: Array, jacobians: Array) -> tuple[Array, Array]:
-    """Maps over intervals and growth of factors, by a method of kind METHOD from derivatives at stages (K, d, n, n)."""
+def interval_maps(method: Structure, lengths: Array, jacobians: Array) -> tuple[Array, float]:
+    """Maps over intervals by a method of kind METHOD from derivatives at stages (K, d, n, n), and log det of all."""
     K, d, n, _ = jacobians.shape
-    maps, growth, memory = np.empty((K, n, n)), np.empty(K), np.empty(LANES * ((d * n) ** 2 + 2 * (d + 1) * n * n))
-    _call("interval_maps", method, K, n, lengths, np.ascontiguousarray(jacobians), maps, growth, memory)
-    return maps, growth
+    maps, contraction = np.empty((K, n, n)), np.empty(1)
+    memory = np.empty(LANES * ((d * n) ** 2 + 2 * (d + 1) * n * n) + (d + 1) * d * n * n)
+    _call("interval_maps", method, K, n, lengths, np.ascontiguousarray(jacobians), maps, contraction, memory)
+    return maps, float(contraction[0])
 
 
-def products(maps: Array, inverse: bool) -> tuple[Array, float, Array, float]:
-    """The product, later maps times earlier ones, of norm 1, the logarithm of its size, and those of its inverse."""
-    K, n, _ = maps.shape
-    found, logs = np.empty((4, n, n)), np.empty(3)
-    _call("products", K, n, maps, found[0], found[1] if inverse else None, logs, found[2:])
-    return found[0], float(logs[0]), found[1], float(logs[1])
+def changes(lengths: Array, jacobians: Array, enough: float) -> Array:
+    """Bounds of the logarithms of the factors by which something may change in each interval, (K,).
+
+    Closer ones where some of them are above `enough`. The derivatives at the stages have shape (K, d, n, n).
+    """
+    K, d, n, _ = jacobians.shape
+    bounds = np.empty(K)
+    _call("changes", K, d, n, lengths, np.ascontiguousarray(jacobians), enough, bounds)
+    return bounds
 
 
-def turned(maps: Array, vectors: Array, r: int) -> tuple[Array, Array, Array, Array]:
-    """Maps of the first r vectors, (maps, v, n), of the others, and across all of these with sizes of their terms."""
-    K, v, n = vectors.shape
-    shapes = (K, r, r), (K, v - r, v - r), (K, n - v, n - v), (K, n - v, n - v)
-    right, left, across, sizes = (np.empty(shape) for shape in shapes)
-    _call("turned", K, n, v, r, maps, vectors, right, left, across, sizes, np.empty((2 * K + 4, n, n)))
-    return right, left, across, sizes
+def multipliers(
+    maps: Array, known: tuple[int, Array, Array], units: Array, contraction: float, with_rounding: bool, frame: Array
+) -> Array:
+    """Multipliers of maps (K, n, n) as `stability.closed_maps` has them: the steps are described there.
 
+    Arguments:
+        maps: of at most MOST_STATES states.
+        known: number of trivial multipliers, their directions and their gradients.
+        units: of the states.
+        contraction: the logarithm of the determinant, NaN where it is not known.
+        with_rounding: whether what rounding makes of them is wanted.
+        frame: an orthogonal matrix in general position.
 
-def moved(maps: Array, sizes: Array, left: Numbers, right: Numbers) -> tuple[Array, float]:
-    """Sums over all maps of |x| sizes |y| for rows x of `left` times the maps after, columns y of `right` likewise.
+    Returns:
+        In a row n logarithms, real and imaginary parts of the phases, and what rounding makes of those that are not
+        trivial; the product of the maps; and how many are trivial, the logarithm of the product's size, its norm in
+        balanced units, and whether a periodic Schur form was needed.
 
-    And the sum of all entries of the same with rows and columns of 1.
+    Raises:
+        numpy.linalg.LinAlgError: eigenvalues do not converge.
     """
     K, n, _ = maps.shape
-    sums, whole = np.empty(n), np.empty(1)
-    vectors = [np.ascontiguousarray([each.real, each.imag]) for each in (left, right)]
-    _call("moved", K, n, maps, sizes, *vectors, sums, whole, np.empty((K + 8, n, n)))
-    return sums, float(whole[0])
-
-
-def triangular(maps: Array, frame: Array) -> tuple[Array, Array]:
-    """Factors that are triangular, from a frame to that at the end, which is returned too."""
-    factors, frame = np.empty(maps.shape), frame.copy()
-    _call("triangular", len(maps), len(frame), maps, frame, factors)
-    return frame, factors
+    trivial, right, left = known
+    found, memory = np.empty(n * (n + 4) + 4), np.empty((8 * K + 40) * n * n + 20 * n + 4 * K)
+    shape = K, n, right.shape[1], left.shape[1], trivial, contraction, with_rounding
+    if kernels()["multipliers"](*shape, maps, right, left, units, frame, found, memory):
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+    return found
 
 
 # Power series of branches: taylor.c ----------------------------------------------------------------------------------

@@ -1,14 +1,19 @@
 /* Maps over the intervals of collocation; see stability/full_period.py.
 
+   x' = A(t) x at the d stages of an interval of length h: slopes S_i = A_i (1 + h sum_j a_ij S_j), the map is
+   1 + h sum_i b_i S_i, in units that balance the largest entries of all A.
+
    Matrices are small, row by row. Stages of LANES intervals are solved for together, one interval a lane, by elimination
-   without exchanges; intervals whose factors grow are left to the caller. */
+   without exchanges, and once more with exchanges where factors grow. */
 
 #include <math.h>
 #include <string.h>
 
 #include "kernel.h"
 
-enum { LANES = 8 };
+enum { LANES = 8, SPECTRAL_SQUARINGS = 3, MOST_STATES = 16 };
+static const double MOST_GROWTH = 16.0; /* of factors without exchanges; measured: as accurate as with them */
+static const double SMALLEST_RATE_RATIO = 1e-30; /* with the two above as in full_period.py */
 typedef double lanes[LANES];
 
 /* A method: stages, Runge-Kutta matrix (d, d), weights of the end (d). */
@@ -26,20 +31,31 @@ static inline void add(int64_t count, lanes *restrict x, const double *restrict 
         EACH x[j][l] += f[l] * y[j][l];
 }
 
-static inline void add_times(int64_t count, lanes *restrict x, double f, const lanes *restrict y)
+/* Jacobians of LANES intervals in units, and lengths; those beyond the last interval are those of the last. */
+static void take(int64_t d, int64_t n, int64_t first, int64_t K, const double *lengths, const double *units,
+                 const double *from, lanes *to, double *h)
 {
-    for (int64_t j = 0; j < count; j++)
-        EACH x[j][l] += f * y[j][l];
-}
-
-/* Jacobians of LANES intervals times their lengths; those beyond the last interval are those of the last one. */
-static void take(int64_t count, int64_t first, int64_t K, const double *lengths, const double *from, lanes *to)
-{
+    const int64_t area = n * n;
     for (int64_t l = 0; l < LANES; l++) {
         const int64_t k = first + l < K ? first + l : K - 1;
-        for (int64_t i = 0; i < count; i++)
-            to[i][l] = lengths[k] * from[k * count + i];
+        const double *jacobian = from + k * d * area;
+        h[l] = lengths[k];
+        for (int64_t i = 0; i < area; i++) {
+            const double factor = units[i % n] / units[i / n];
+            for (int64_t s = 0; s < d; s++)
+                to[s * area + i][l] = factor * jacobian[s * area + i];
+        }
     }
+}
+
+/* Units that balance the largest of the entries of `count` matrices (n, n). */
+static void units_of(int64_t count, int64_t n, const double *matrices, double *units)
+{
+    double most[MOST_STATES * MOST_STATES] = {0.0};
+    for (int64_t s = 0; s < count; s++)
+        for (int64_t i = 0; i < n * n; i++)
+            most[i] = fabs(matrices[s * n * n + i]) > most[i] ? fabs(matrices[s * n * n + i]) : most[i];
+    NAMED(balancing)(n, most, units);
 }
 
 /* x = A y of matrices (n, n) in lanes. */
@@ -84,43 +100,162 @@ static void solve(int64_t N, int64_t n, const lanes *A, lanes *x)
     }
 }
 
-static void give(int64_t area, int64_t first, int64_t K, const lanes *from, double *to)
+/* The same of one system with exchanges of rows; both are overwritten. */
+static void solve_one(int64_t N, int64_t n, double *A, double *x)
 {
-    for (int64_t l = 0; l < LANES && first + l < K; l++)
-        for (int64_t i = 0; i < area; i++)
-            to[(first + l) * area + i] = from[i][l];
+    for (int64_t k = 0; k < N; k++) {
+        int64_t best = k;
+        for (int64_t i = k + 1; i < N; i++)
+            if (fabs(A[i * N + k]) > fabs(A[best * N + k]))
+                best = i;
+        for (int64_t j = 0; best != k && j < N + n; j++) {
+            double *one = j < N ? A + k * N + j : x + k * n + j - N, *other = one + (best - k) * (j < N ? N : n);
+            const double value = *one;
+            *one = *other, *other = value;
+        }
+        for (int64_t i = k + 1; i < N; i++) {
+            const double f = A[i * N + k] / A[k * N + k];
+            for (int64_t j = k + 1; j < N; j++)
+                A[i * N + j] -= f * A[k * N + j];
+            for (int64_t j = 0; j < n; j++)
+                x[i * n + j] -= f * x[k * n + j];
+        }
+    }
+    for (int64_t k = N - 1; k >= 0; k--)
+        for (int64_t j = 0; j < n; j++) {
+            for (int64_t i = k + 1; i < N; i++)
+                x[k * n + j] -= A[k * N + i] * x[i * n + j];
+            x[k * n + j] /= A[k * N + k];
+        }
 }
 
-/* Maps over K intervals, (K, n, n), from derivatives of the field at their stages, (K, d, n, n), and how much factors
-   grow, (K). `memory` has LANES times (d n)^2 + 2 (d + 1) n^2 numbers. */
+/* The matrix 1 - h a_ij A_j of the stages of LANES intervals. */
+static void stage_system(const method *of, int64_t n, const double *h, const lanes *J, lanes *A)
+{
+    const int64_t d = of->stages, N = d * n;
+    for (int64_t i = 0; i < d; i++)
+        for (int64_t j = 0; j < d; j++) {
+            lanes weight;
+            EACH weight[l] = -h[l] * of->matrix[i * d + j];
+            for (int64_t a = 0; a < n; a++)
+                for (int64_t b = 0; b < n; b++) {
+                    const double one = i == j && a == b ? 1.0 : 0.0;
+                    EACH A[(i * n + a) * N + j * n + b][l] = weight[l] * J[(j * n + a) * n + b][l] + one;
+                }
+        }
+}
+
+/* The states at the stages of LANES intervals from 1 at their starts. */
+static void stages(const method *of, int64_t n, const double *h, const lanes *J, lanes *A, lanes *P, double *room)
+{
+    const int64_t d = of->stages, N = d * n;
+    lanes growth = {0.0};
+    memset(P, 0, (size_t)(N * n) * sizeof(lanes));
+    for (int64_t i = 0; i < N; i++)
+        EACH P[i * n + i % n][l] = 1.0;
+    stage_system(of, n, h, J, A);
+    factor(N, A, growth);
+    solve(N, n, A, P);
+    int grown = 0;
+    EACH grown |= !(growth[l] <= MOST_GROWTH);
+    if (!grown)
+        return;
+    stage_system(of, n, h, J, A);
+    for (int64_t l = 0; l < LANES; l++) {
+        double *one = room, *x = room + N * N;
+        if (growth[l] <= MOST_GROWTH)
+            continue;
+        for (int64_t i = 0; i < N * N; i++)
+            one[i] = A[i][l];
+        memset(x, 0, (size_t)(N * n) * sizeof(double));
+        for (int64_t i = 0; i < N; i++)
+            x[i * n + i % n] = 1.0;
+        solve_one(N, n, one, x);
+        for (int64_t i = 0; i < N * n; i++)
+            P[i][l] = x[i];
+    }
+}
+
+/* Maps over K intervals, (K, n, n), from derivatives of the field at their stages, (K, d, n, n), and the logarithm of
+   the determinant of their product. `memory` has LANES ((d n)^2 + 2 (d + 1) n^2) + (d + 1) d n^2 numbers. */
 KERNEL(interval_maps)(const method *of, int64_t K, int64_t n, const double *lengths, const double *jacobians,
-                      double *maps, double *growth, double *memory)
+                      double *maps, double *contraction, double *memory)
 {
     const int64_t d = of->stages, N = d * n, area = n * n;
     lanes *A = (lanes *)memory, *J = A + N * N, *M = J + d * area, *P = M + area, *slopes = P + d * area;
+    double units[MOST_STATES], *room = (double *)(slopes + area);
+    lanes h, weight;
+    units_of(K * d, n, jacobians, units);
+    *contraction = 0.0;
     for (int64_t first = 0; first < K; first += LANES) {
-        lanes largest = {0.0};
-        take(d * area, first, K, lengths, jacobians, J);
-        for (int64_t i = 0; i < d; i++)
-            for (int64_t a = 0; a < n; a++)
-                for (int64_t j = 0; j < d; j++)
-                    for (int64_t b = 0; b < n; b++) {
-                        const double weight = -of->matrix[i * d + j], one = i == j && a == b ? 1.0 : 0.0;
-                        EACH A[(i * n + a) * N + j * n + b][l] = weight * J[j * area + a * n + b][l] + one;
-                    }
-        memset(M, 0, (size_t)((d + 1) * area) * sizeof(lanes)); /* M and P begin as 1 */
-        for (int64_t i = 0; i <= d; i++)
-            for (int64_t a = 0; a < n; a++)
-                EACH M[i * area + a * n + a][l] = 1.0;
-        factor(N, A, largest);
-        solve(N, n, A, P);
+        take(d, n, first, K, lengths, units, jacobians, J, h);
+        stages(of, n, h, J, A, P, room);
+        memset(M, 0, (size_t)area * sizeof(lanes));
+        for (int64_t a = 0; a < n; a++)
+            EACH M[a * n + a][l] = 1.0;
         for (int64_t j = 0; j < d; j++) {
             product(n, slopes, J + j * area, P + j * area);
-            add_times(area, M, of->end[j], slopes);
+            EACH weight[l] = h[l] * of->end[j];
+            add(area, M, weight, slopes);
         }
-        give(area, first, K, M, maps);
-        for (int64_t l = 0; l < LANES && first + l < K; l++)
-            growth[first + l] = largest[l];
+        for (int64_t l = 0; l < LANES && first + l < K; l++) {
+            for (int64_t i = 0; i < area; i++)
+                maps[(first + l) * area + i] = M[i][l] * (units[i / n] / units[i % n]);
+            for (int64_t j = 0; j < d; j++)
+                for (int64_t a = 0; a < n; a++)
+                    *contraction += h[l] * of->end[j] * J[j * area + a * (n + 1)][l];
+        }
+    }
+    return 0;
+}
+
+/* The smaller of the largest sums of moduli of rows and of columns. */
+static double bound_of(int64_t n, const double *A)
+{
+    double by_rows = 0.0, by_columns = 0.0;
+    for (int64_t i = 0; i < n; i++) {
+        double row = 0.0, column = 0.0;
+        for (int64_t j = 0; j < n; j++)
+            row += fabs(A[i * n + j]), column += fabs(A[j * n + i]);
+        by_rows = fmax(by_rows, row), by_columns = fmax(by_columns, column);
+    }
+    return fmin(by_rows, by_columns);
+}
+
+/* For each of K intervals, (K), bounds of the logarithm of the factor by which something may change in it: from norms of
+   h A, which are all where none is above `enough`, else of their powers, which bound their eigenvalues closely. */
+KERNEL(changes)(int64_t K, int64_t d, int64_t n, const double *lengths, const double *jacobians, double enough,
+                double *bounds)
+{
+    const int64_t area = n * n;
+    double units[MOST_STATES], A[MOST_STATES * MOST_STATES], square[MOST_STATES * MOST_STATES], most = 0.0, size = 0.0;
+    units_of(K * d, n, jacobians, units);
+    for (int powers = 0; powers < 2; powers++) {
+        for (int64_t k = 0; k < K; k++) {
+            bounds[k] = 0.0;
+            for (int64_t s = k * d; s < (k + 1) * d; s++) {
+                for (int64_t i = 0; i < area; i++) {
+                    const double entry = lengths[k] * jacobians[s * area + i] * (units[i % n] / units[i / n]);
+                    A[i] = !powers || fabs(entry / size) >= SMALLEST_RATE_RATIO ? entry / (powers ? size : 1.0) : 0.0;
+                    most = powers ? most : fmax(most, fabs(entry));
+                }
+                for (int turn = 0; powers && turn < SPECTRAL_SQUARINGS; turn++) {
+                    for (int64_t i = 0; i < n; i++)
+                        for (int64_t j = 0; j < n; j++) {
+                            square[i * n + j] = 0.0;
+                            for (int64_t a = 0; a < n; a++)
+                                square[i * n + j] += A[i * n + a] * A[a * n + j];
+                        }
+                    memcpy(A, square, (size_t)area * sizeof(double));
+                }
+                bounds[k] = fmax(bounds[k], bound_of(n, A));
+            }
+            if (powers)
+                bounds[k] = size * pow(bounds[k], 1.0 / (1 << SPECTRAL_SQUARINGS));
+        }
+        size = most;
+        if (!(largest(bounds, K) > enough))
+            break;
     }
     return 0;
 }

@@ -69,3 +69,8 @@ typedef struct {
 } places;
 
 int NAMED(at_places)(const places *p);
+
+/* Eigenvalues and vectors, units that balance a matrix, and its smallest and largest singular value: eigenvalues.c. */
+int NAMED(eigenvalues)(int64_t n, double *A, double *re, double *im, double *vectors, double *memory);
+void NAMED(balancing)(int64_t n, double *A, double *units);
+void NAMED(singular_values)(int64_t rows, int64_t n, double *A, double *least, double *most);

@@ -74,32 +74,22 @@ class Spectrum:
         return Spectrum(self.logs[chosen], self.phases[chosen], self.extreme)
 
 
-def scaled_product(maps: Array) -> tuple[Array, float]:
-    """Later maps times earlier ones as a matrix of norm 1 and the logarithm of a factor."""
-    return _products(maps, inverse=False)[:2]
-
-
-def _compiled(maps: Array) -> bool:
-    """Whether the compiled kernels take maps of this size."""
-    return maps.shape[1] <= MOST_STATES and bool(kernels())
-
-
-def _products(maps: Array, inverse: bool = True) -> tuple[Array, float, Array, float]:
-    """The product with its size, and where wanted its inverse, from those of the maps; both of norm 1.
+def _products(maps: Array) -> tuple[Array, float, Array, float]:
+    """The product with its size, and its inverse from those of the maps likewise; both of norm 1.
 
     No finite numbers where a map is singular.
     """
-    if _compiled(maps):
-        return native.products(np.ascontiguousarray(maps), inverse)
-    forward, found = _product(maps), (np.full_like(maps[0], np.nan), 0.0)
-    if inverse:
-        with suppress(np.linalg.LinAlgError):
-            found = _product(np.asarray(np.linalg.inv(maps[::-1]), dtype=float))
-    return *forward, *found
+    found = np.full_like(maps[0], np.nan), 0.0
+    with suppress(np.linalg.LinAlgError):
+        found = scaled_product(np.asarray(np.linalg.inv(maps[::-1]), dtype=float))
+    return *scaled_product(maps), *found
 
 
-def _product(maps: Array) -> tuple[Array, float]:
-    """By products of two neighbours, of two of these, and so on."""
+def scaled_product(maps: Array) -> tuple[Array, float]:
+    """Later maps times earlier ones as a matrix of norm 1 and the logarithm of a factor.
+
+    By products of two neighbours, of two of these, and so on.
+    """
     logarithm = 0.0
     while True:
         sizes = np.linalg.norm(maps, axis=(1, 2))
@@ -116,7 +106,7 @@ def spectrum_of(maps: Array) -> Spectrum:
     """Eigenvalues of the product of maps, shape (factors, n, n)."""
     if maps.shape[1] == 0:
         return Spectrum(np.empty(0), np.empty(0, dtype=complex))
-    forward, size, inverse, inverse_size = _products(maps, len(maps) > 1)
+    forward, size, inverse, inverse_size = _products(maps)
     found = _shifted(np.linalg.eigvals(forward).astype(complex), size)
     if len(maps) == 1:
         return found
@@ -178,7 +168,7 @@ def _schur(maps: Array) -> Spectrum | None:
     return Spectrum(logs[order], phases[order], True)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=MOST_STATES)
 def _general_frame(n: int) -> Array:
     """An orthogonal matrix in general position, which is not to be written to."""
     return np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
@@ -192,8 +182,6 @@ def _below(sizes: Array) -> Array:
 
 def _triangular(maps: Array, frame: Array) -> tuple[Array, Array]:
     """The frame after all maps, from that before, and the factors between frames."""
-    if _compiled(maps):
-        return native.triangular(np.ascontiguousarray(maps), frame)
     factors = np.empty_like(maps)
     for k, matrix in enumerate(maps):
         frame, factors[k] = np.linalg.qr(matrix @ frame)
@@ -420,6 +408,8 @@ def multipliers_along(
         contraction: the logarithm of the determinant of the product; None where it is not known.
         with_rounding: whether what rounding makes of them is wanted; zeros where not.
     """
+    if maps.shape[1] <= MOST_STATES and kernels():
+        return _compiled(maps, trivial, units, contraction, with_rounding)
     matrix, size = scaled_product(maps)
     scaled = matrix * units / units[:, None]
     coupled = np.abs(scaled) + COUPLED_ENTRY_RATIO * (np.max(np.abs(np.diagonal(scaled)), initial=0.0) or 1.0)
@@ -437,6 +427,21 @@ def multipliers_along(
         others = by_liouville(others, maps, contraction - (0.0 if vectors else float(np.sum(near.logs))))
     norm = float(np.linalg.norm(scaled * scales / scales[:, None], 2))
     return Multipliers(near, others, rounding[is_other], matrix, size, max(1.0, norm * np.exp(min(size, 700.0))))
+
+
+def _compiled(
+    maps: Array, trivial: Trivial, units: Array, contraction: float | None, with_rounding: bool
+) -> Multipliers:
+    """The same by the kernel."""
+    maps, right, left = map(np.ascontiguousarray, (maps, trivial.right, trivial.left))
+    n, determinant = maps.shape[1], np.nan if contraction is None else contraction
+    known = trivial.count, right, left
+    found = native.multipliers(maps, known, units, determinant, with_rounding, _general_frame(n))
+    logs, re, im, rounding = found[: 4 * n].reshape(4, n)
+    first, size, norm, extreme = found[-4:].tolist()
+    first, phases, matrix = int(first), re + 1j * im, found[4 * n : -4].reshape(n, n)
+    others = Spectrum(logs[first:], phases[first:], bool(extreme))
+    return Multipliers(Spectrum(logs[:first], phases[:first]), others, rounding[: n - first], matrix, size, norm)
 
 
 def balancing(matrix: Array) -> Array:
@@ -469,8 +474,6 @@ def _turned(maps: Array, vectors: Array, r: int) -> tuple[Array, Array, Array, A
     The last has sizes of the terms of its entries. The directions come first, in which nothing conserved changes, then
     what is left of the gradients.
     """
-    if _compiled(maps):
-        return native.turned(np.ascontiguousarray(maps), np.ascontiguousarray(vectors), r)
     first, v = np.linalg.qr(vectors.swapaxes(1, 2), mode="complete")[0], vectors.shape[1]
     last = np.roll(first, -1, axis=0).swapaxes(1, 2)
     turned, sizes = last @ maps @ first, np.abs(last[:, v:]) @ np.abs(maps) @ np.abs(first[:, :, v:])
@@ -501,8 +504,6 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
 
 def _moved(maps: Array, sizes: Array, left: NDArray[Any], right: NDArray[Any]) -> tuple[Array, float]:
     """How much all entries of all maps, changed by parts of `sizes`, move each eigenvalue, and the whole product."""
-    if _compiled(maps):
-        return native.moved(np.ascontiguousarray(maps), sizes, left, right)
     one = np.eye(len(left))[None]
     there = np.concatenate([one, _running(maps)[:-1]])
     back = np.concatenate([one, _running(maps[:0:-1].swapaxes(1, 2)).swapaxes(1, 2)])[::-1]

@@ -16,11 +16,11 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from casadi_skin import native
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.integrators import CvodesError, IntegrationError, Trajectory
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import METHOD, MOST_STATES, Structure, kernels
-from casadi_skin.native import interval_maps as compiled_maps
 from casadi_skin.stability.closed_maps import (
     FAR_LOG_EIGENVALUE,
     Multipliers,
@@ -95,28 +95,30 @@ MOST_PARTS = 20_000
 # Logarithms of multipliers by intervals and by parts: where they agree, the first ones are more accurate, as an orbit
 # is more accurate at ends of intervals.
 SAME_LOG_ATOL = 1e-8
-MOST_GROWTH = 16.0  # of factors without exchanges: multipliers of rows; measured: as accurate as with them
 MOST_WORK = 1e10  # of the linear systems of all parts: their number times the third power of their size
 LARGEST_STACK = 4_000_000  # entries of the matrices of several intervals that are factored in one call
 
 
-def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> Array:
-    """Transition matrices over intervals from derivatives at their stages, in order of time, shape (any, n, n).
+def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> tuple[Array, float]:
+    """Transition matrices over intervals, (any, n, n), and the logarithm of the determinant of their product.
 
     They are solved for in balanced units, powers of 2: where sizes of states differ by 1e10, pivots would be chosen by
-    their units, and entries lose all digits that small states have.
+    their units, and entries lose all digits that small states have. The logarithm is that of Liouville's formula.
+
+    Arguments:
+        jacobians: derivatives of the field at the stages, in order of time.
+        lengths: of the intervals.
+        table: the method.
     """
     n, d, K = jacobians.shape[1], table.degree, lengths.size
-    units = balancing(np.max(np.abs(jacobians), axis=0))
-    of_intervals = (jacobians * (units / units[:, None])).reshape(K, d, n, n)
     if n <= MOST_STATES and table.stages == tuple(range(1, d + 1)) and kernels():
-        maps, growth = compiled_maps(_method(table), lengths, of_intervals)
-        left = np.flatnonzero(~(growth <= MOST_GROWTH))
-    else:
-        maps, left = np.empty((K, n, n)), np.arange(K)
-    for these in np.array_split(left, left.size * (n * d) ** 2 // LARGEST_STACK + 1) if left.size else ():
+        return native.interval_maps(_method(table), lengths, jacobians.reshape(K, d, n, n))
+    units, maps = balancing(np.max(np.abs(jacobians), axis=0)), np.empty((K, n, n))
+    of_intervals = (jacobians * (units / units[:, None])).reshape(K, d, n, n)
+    for these in np.array_split(np.arange(K), K * (n * d) ** 2 // LARGEST_STACK + 1):
         maps[these] = _solved_maps(of_intervals[these], lengths[these, None, None], table)
-    return np.asarray(maps * (units[:, None] / units))
+    traces = np.trace(jacobians, axis1=1, axis2=2).reshape(-1, d)
+    return np.asarray(maps * (units[:, None] / units)), float(lengths @ (traces @ table.extended[-1]))
 
 
 def _solved_maps(A: Array, h: Array, table: CollocationTable) -> Array:
@@ -150,24 +152,35 @@ SMALLEST_RATE_RATIO = 1e-30  # of the largest entry, whose powers are doubles
 def needed_parts(problem: BoundaryProblem, jacobians: Array) -> Indices | None:
     """Numbers of parts of each interval in which nothing changes too much; None where no interval is too long."""
 
-    def changes(power: int) -> Array:
-        """Bounds of the logarithms of the factors by which something may change in each interval, by powers of it."""
+    counts = np.maximum(np.ceil(_changes(problem, jacobians) / WITHIN_PART), 1.0).astype(int)
+    return None if np.max(counts) * WITHIN_PART <= RESOLVED_LOG_GROWTH else counts
+
+
+def _changes(problem: BoundaryProblem, jacobians: Array) -> Array:
+    """Bounds of the logarithms of the factors by which something may change in each interval.
+
+    From norms, and where one is large from those of powers.
+    """
+    K, d, n = problem.resolution, problem.degree, jacobians.shape[1]
+    if n <= MOST_STATES and kernels():
+        return native.changes(problem.constants, jacobians.reshape(K, d, n, n), RESOLVED_LOG_GROWTH)
+
+    def bounds(power: int) -> Array:
         entries = np.abs(matrices)
-        bounds = np.minimum(np.max(np.sum(entries, axis=1), axis=1), np.max(np.sum(entries, axis=2), axis=1))
-        return np.asarray(size * np.max(bounds.reshape(problem.resolution, -1), axis=1) ** (1.0 / power))
+        found = np.minimum(np.max(np.sum(entries, axis=1), axis=1), np.max(np.sum(entries, axis=2), axis=1))
+        return np.asarray(size * np.max(found.reshape(K, -1), axis=1) ** (1.0 / power))
 
     units, size = balancing(np.max(np.abs(jacobians), axis=0)), 1.0
-    matrices = np.repeat(problem.constants, problem.degree)[:, None, None] * jacobians * (units / units[:, None])
-    rates, squarings = changes(1), SPECTRAL_SQUARINGS if jacobians.shape[1] <= MOST_STATES else 0
+    matrices = np.repeat(problem.constants, d)[:, None, None] * jacobians * (units / units[:, None])
+    rates, squarings = bounds(1), SPECTRAL_SQUARINGS if n <= MOST_STATES else 0
     if np.max(rates) <= RESOLVED_LOG_GROWTH:
-        return None
+        return rates
     size = float(np.max(np.abs(matrices)))
     matrices = matrices / size
     matrices[np.abs(matrices) < SMALLEST_RATE_RATIO] = 0.0
     for _ in range(squarings):
         matrices = matrices @ matrices
-    counts = np.maximum(np.ceil(changes(2**squarings) / WITHIN_PART), 1.0).astype(int)
-    return None if np.max(counts) * WITHIN_PART <= RESOLVED_LOG_GROWTH else counts
+    return bounds(2**squarings)
 
 
 def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -> Array:
@@ -183,7 +196,7 @@ def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -
         chosen = np.resize(these, together)  # of the same number as the equations evaluate together
         found = problem.discretisation.jacobians_at(places[chosen, None], states[chosen], scalars, values)
         finer.append(found[: these.size, :n, :n])
-    return interval_maps(np.concatenate(finer), lengths, table)
+    return interval_maps(np.concatenate(finer), lengths, table)[0]
 
 
 LEAST_LOCAL_TOLERANCE = 1e-12
@@ -310,14 +323,14 @@ def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multip
     """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
     problem, n, units = orbit.problem, orbit.size, units_of(orbit.ends)
     jacobians = problem.discretisation.jacobians(orbit.z, problem.numbers)[:, :n, :n]  # at all stages, of unit length
-    traces = np.trace(jacobians, axis1=1, axis2=2).reshape(-1, problem.degree)
-    contraction = orbit.contraction(float(problem.constants @ (traces @ problem.table.extended[-1])))
+    maps, contraction = interval_maps(jacobians, problem.constants, problem.table)
+    contraction = orbit.contraction(contraction)
 
     def multipliers(maps: Array, trivial: Trivial) -> Multipliers:
         return multipliers_along(orbit.over_the_period(maps), trivial, units, contraction, with_rounding)
 
     trivial = orbit.trivial(tolerance)
-    found = multipliers(interval_maps(jacobians, problem.constants, problem.table), trivial)
+    found = multipliers(maps, trivial)
     counts = needed_parts(problem, jacobians) if orbit.is_whole and found.others.far > 1 else None
     if counts is None:
         return found

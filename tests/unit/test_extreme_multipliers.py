@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit, read_result, save_result
 from casadi_skin.follow.solution import Orbit, Solution
-from casadi_skin.stability.closed_maps import spectrum_of
+from casadi_skin.stability.closed_maps import Spectrum, multipliers_along, no_trivial, spectrum_of
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.result import HugeMultiplierWarning, LostMultiplierWarning
 
@@ -108,6 +108,11 @@ def test_van_der_pols_relaxation_has_the_multiplier_of_liouvilles_formula(sign: 
     assert orbit.stable == (sign > 0)
 
 
+def by_all_ways(maps: np.ndarray) -> list[Spectrum]:
+    """Eigenvalues of the product by numpy, and by the kernel where there is one."""
+    return [spectrum_of(maps), multipliers_along(maps, no_trivial(maps.shape[1]), np.ones(maps.shape[1])).others]
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_products_of_random_factors_have_the_eigenvalues_of_their_exact_product(seed: int) -> None:
     """Against mpmath with 600 digits; moduli in clusters and apart, pairs among them."""
@@ -117,14 +122,14 @@ def test_products_of_random_factors_have_the_eigenvalues_of_their_exact_product(
     n = int(generator.integers(2, 6))
     scales = np.exp(generator.choice([-6.0, -3.0, 0.0, 0.0, 2.0, 6.0], size=n))
     maps = np.array([np.eye(n) + 0.3 * generator.normal(size=(n, n)) for _ in range(40)]) * scales[:, None]
-    found = spectrum_of(maps)
     with mp.workdps(600):
         product = mp.eye(n)
         for matrix in maps:
             product = mp.matrix([[mpf(float(v)) for v in row] for row in matrix]) * product
         exact = mp.eig(product, left=False, right=False)
         logs = sorted((float(mp.log(abs(value))) for value in exact), reverse=True)
-    np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
+    for found in by_all_ways(maps):
+        np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
 
 
 def test_a_pair_that_turns_beside_many_that_decay_is_not_taken_apart() -> None:
@@ -135,10 +140,10 @@ def test_a_pair_that_turns_beside_many_that_decay_is_not_taken_apart() -> None:
     upper = np.triu(0.1 * generator.normal(size=(K, n, n)), 1) + np.diag(np.exp(logs / K))
     turn = np.array([[0.0, -3.0], [1.0 / 3.0, 0.0]])
     upper[:, 1:3, 1:3] = 0.2 ** (1 / K) * (np.cos(0.6) * np.eye(2) + np.sin(0.6) * turn)
-    found = spectrum_of(np.roll(frames, -1, axis=0) @ upper @ frames.swapaxes(1, 2))
-    assert found.extreme
-    np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(np.abs(np.angle(found.phases[1:3])), 7.2 - 2 * np.pi, atol=1e-9)
+    for found in by_all_ways(np.roll(frames, -1, axis=0) @ upper @ frames.swapaxes(1, 2)):
+        assert found.extreme
+        np.testing.assert_allclose(found.logs, logs, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(np.abs(np.angle(found.phases[1:3])), 7.2 - 2 * np.pi, atol=1e-9)
 
 
 def decaying(exponents: list[float]) -> Orbit:
@@ -158,9 +163,9 @@ def test_digits_of_a_block_do_not_depend_on_how_wide_the_gap_below_it_is(gap: fl
     random, logs = np.random.default_rng(5), np.array([0.0, -2.6, -2.6 - gap, -120.0])
     bases = random.normal(size=(24, 4, 4))
     maps = np.roll(bases, -1, axis=0) @ (np.exp(logs / 24)[:, None] * np.linalg.inv(bases))
-    found = spectrum_of(maps)
-    assert found.extreme
-    np.testing.assert_allclose(found.logs, logs, atol=2e-12)
+    for found in by_all_ways(maps):
+        assert found.extreme
+        np.testing.assert_allclose(found.logs, logs, atol=2e-12)
 
 
 def test_tables_have_logarithms_where_doubles_hold_no_multiplier() -> None:
