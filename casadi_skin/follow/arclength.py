@@ -7,6 +7,7 @@ turns too far; so the step shortens before another family can be taken for this 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -40,8 +41,8 @@ class _Departure:
 
     def angle(self, tangent: Array) -> float:
         """Angle in degrees between t and another tangent, in the metric at z."""
-        cosine = np.sum(self.row * tangent) / np.sqrt(np.sum(self.weights * tangent**2))
-        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        cosine = float(self.row @ tangent) / math.sqrt(self.weights @ tangent**2)
+        return math.degrees(math.acos(max(min(cosine, 1.0), -1.0)))
 
 
 class Continuation(ABC):
@@ -129,16 +130,14 @@ class ArclengthContinuation(Continuation):
 
     def _departure(self, current: Point, problem: Problem) -> _Departure:
         """The current point and the way on from it in the unknowns of `problem`."""
-        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        known = (current, *self.history[-2::-1])
+        points = np.array([past.problem.all_prolonged(np.array([past.z, past.tangent]), problem) for past in known])
+        z, t = points[0]
         weights = self.point_solver.metric(problem, z)
         if problem is not current.problem:
-            t = t / np.sqrt(np.sum(weights * t**2))
+            t /= math.sqrt(weights @ t**2)
         row = weights * t
-        before = [
-            (past.problem.prolong(past.z, problem), past.problem.prolong(past.tangent, problem))
-            for past in self.history[-2::-1]
-        ]
-        curve = predictor(z, t, predicting(z, before, row, weights), row)
+        curve = predictor(predicting(points, row, weights), row)
         turning = self.settings.layer_angles if problem.has_layers(z) else 1.0
         return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem), turning)
 
@@ -190,10 +189,11 @@ class ArclengthContinuation(Continuation):
     def _next_step(self, problem: Problem, guess: Array, correction: Correction, step: float, angle: float) -> float:
         """Step that would turn by the angle aimed for, and miss by a quarter of what the guard allows."""
         weights = self.point_solver.metric(problem, correction.z)
-        missed = float(np.sqrt(np.sum(weights * (correction.z - guess) ** 2))) / step
+        missed = math.sqrt(weights @ (correction.z - guess) ** 2) / step
         by_angle = self.settings.aim_angle / max(angle, 1e-3)
         by_distance = (0.25 * self.settings.guard_distance / max(missed, 1e-12)) ** (1.0 / 3.0)
-        return min(step * float(np.clip(min(by_angle, by_distance), 0.4, 1.8)), self.settings.max_step)
+        factor = float(min(max(min(by_angle, by_distance), 0.4), 1.8))
+        return min(step * factor, self.settings.max_step)
 
     def _longest_step(self, current: Point) -> float:
         """The step that changes the parameter, to first order, by the most allowed."""

@@ -109,58 +109,47 @@ def _roots_within(coefficients: Array) -> list[float]:
     return [min(float(root), 1.0) for root in real if 0.0 < root <= 1.0 + REACH_MARGIN]
 
 
-def predictor(z: Array, t: Array, before: Sequence[tuple[Array, Array]], row: Array) -> Callable[[float], Array]:
-    """The curve through z with tangent t and through earlier points with theirs, latest first, over sigma.
+def predictor(points: Array, row: Array) -> Callable[[float], Array]:
+    """The curve through points with their tangents, (points, 2, unknowns), latest first, over sigma.
 
-    Hermite interpolation of degree 2 n - 1 through n points; sigma = row . (z(sigma) - z). Only points in order along
-    `row` are used, so that the curve of a sharp turn is not wilder than the turn.
+    Hermite interpolation of degree 2 n - 1 through n points; sigma = row . (z(sigma) - z) with the latest of them, z.
+    Only points in order along `row` are used, so that the curve of a sharp turn is not wilder than the turn.
     """
-    places, values, slopes, last = [0.0], [z], [t / float(row @ t)], 0.0
-    for earlier, tangent in before:
-        sigma, slope = float(row @ (earlier - z)), float(row @ tangent)
-        if not (sigma < last and slope > ALIGNED_COSINE):
-            break
-        places, values, slopes, last = [*places, sigma], [*values, earlier], [*slopes, tangent / slope], sigma
-    return interpolant(np.array(places), np.array(values), np.array(slopes))
+    values, tangents = points[:, 0], points[:, 1]
+    places, slopes, n = (values - values[0]) @ row, tangents @ row, 1
+    while n < len(points) and places[n] < places[n - 1] and slopes[n] > ALIGNED_COSINE:
+        n += 1
+    return interpolant(places[:n], values[:n], tangents[:n] / slopes[:n, None])
 
 
-def predicting(
-    z: Array, before: Sequence[tuple[Array, Array]], row: Array, weights: Array
-) -> Sequence[tuple[Array, Array]]:
-    """Earlier points to predict the next from: none where the earliest of them predicted z worse than a tangent did.
+def predicting(points: Array, row: Array, weights: Array) -> Array:
+    """Those of points to predict the next from: the latest where the earliest predicted it worse than a tangent did.
 
     Where steps are short the polynomial amplifies what the corrector leaves over, and they would stay as short.
     """
-    if len(before) < 2 or not row @ before[0][1] > 0.0:
-        return before
-    (start, tangent), *earlier = before
+    if len(points) < 3 or not row @ points[1, 1] > 0.0:
+        return points
+    z, (start, tangent) = points[0, 0], points[1]
     sigma = float(row @ (z - start))
-    guesses = predictor(start, tangent, earlier, row)(sigma), start + sigma / float(row @ tangent) * tangent
+    guesses = predictor(points[1:], row)(sigma), start + sigma / float(row @ tangent) * tangent
     by_curve, by_tangent = (float(weights @ (guess - z) ** 2) for guess in guesses)
-    return before if by_curve <= by_tangent else ()
+    return points if by_curve <= by_tangent else points[:1]
 
 
 def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float | Array], Array]:
-    """The polynomial of least degree through values and slopes, each (places, m), by divided differences.
+    """The polynomial of least degree through values and slopes, each (places, m): as a float, or as a column of places.
 
-    Written out, as scipy.interpolate takes a third of a family's time to load.
+    sum_j L_j(x)^2 ((1 - 2 (x - x_j) L_j'(x_j)) values_j + (x - x_j) slopes_j) with Lagrange's polynomials L_j. Written
+    out, as scipy.interpolate takes a third of a family's time to load.
     """
-    nodes, table = np.repeat(places, 2), np.repeat(values, 2, axis=0)
-    coefficients = [table[0]]
-    for order in range(1, nodes.size):
-        rise, apart = np.diff(table, axis=0), (nodes[order:] - nodes[:-order])[:, None]
-        if order == 1:
-            table = np.repeat(slopes, 2, axis=0)[:-1]
-            table[1::2] = rise[1::2] / apart[1::2]
-        else:
-            table = rise / apart
-        coefficients.append(table[0])
+    own = np.eye(places.size, dtype=bool)
+    inverse = 1.0 / np.where(own, 1.0, places[:, None] - places)
+    scale, rate = inverse.prod(axis=1), inverse.sum(axis=1) - 1.0
 
     def at(place: float | Array) -> Array:
-        height = coefficients[-1]
-        for coefficient, node in zip(coefficients[-2::-1], nodes[-2::-1], strict=True):
-            height = coefficient + (place - node) * height
-        return np.asarray(height)
+        off = place - places
+        squares = (np.where(own, 1.0, off[..., None, :]).prod(axis=-1) * scale) ** 2
+        return np.asarray(squares * (1.0 - 2.0 * off * rate) @ values + squares * off @ slopes)
 
     return at
 
@@ -443,7 +432,7 @@ class PointSolver:
             if self._is_finished(point, relative):
                 return point
             left_over = (solve or self.factor(problem, z, row))(np.append(problem.evaluate(z)[0], 0.0))
-            at_held = at_parameter(problem, z[None], left_over[None], tangent[None], np.array([held is None]))[0]
+            at_held = at_parameter(problem, z, left_over, tangent if held is None else None)
             algebraic = step_error(problem, z, at_held, held is Scalar.OMEGA).relative(point.Omega)
             if polished and algebraic > 0.25 * relative:
                 return replace(point, at_round_off=True)

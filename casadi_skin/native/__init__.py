@@ -55,7 +55,10 @@ FUNCTIONS = {
     "collocation_equations": "aaaaa",
     "collocation_applied": "aaaa",
     "collocation_missed": "aaaaaa",
+    "collocation_change": "aaaaaa",
+    "collocation_improved": 13 * "a",
     "collocation_interpolated": "aaiaiiaai",
+    "collocation_density": "aaaaarrraa",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",
@@ -96,18 +99,27 @@ MOST = 7  # unknowns beside the band that bordered.c has room for
 
 
 def address(array: Any) -> int:
-    """Where the numbers of an array begin, faster than `ctypes.data`; the array has to be contiguous, row by row."""
+    """Where the numbers of an array begin; the array has to be contiguous, row by row."""
     interface = array.__array_interface__
     assert interface["strides"] is None
     return int(interface["data"][0])
+
+
+_NO_BYTES = ctypes.c_char * 0
 
 
 class _Address:
     """An argument that is an array or a structure, or None where a kernel does without."""
 
     @staticmethod
-    def from_param(array: Any) -> ctypes.c_void_p:
-        return ctypes.c_void_p(None if array is None else address(array))
+    def from_param(array: Any) -> Any:
+        """What ctypes passes as an address: where the numbers of an array begin, in a fifth of `address`'s time."""
+        if type(array) is Structure:
+            return array.pointer
+        try:
+            return _NO_BYTES.from_buffer(array)
+        except TypeError:  # not to be written to, or None
+            return ctypes.c_void_p(None if array is None else address(array))
 
 
 TYPES: Mapping[str, Any] = {"i": ctypes.c_int64, "r": ctypes.c_double, "a": _Address}
@@ -180,6 +192,7 @@ class Structure:
         packed = struct.pack("=" + kinds.replace("i", "q").replace("a", "Q").replace("r", "d"), *words)
         self._words = np.frombuffer(packed, dtype=np.int64)
         self.__array_interface__ = self._words.__array_interface__
+        self.pointer = ctypes.c_void_p(address(self))
 
 
 def _terms(groups: Sequence[Monomials]) -> tuple[Any, ...]:

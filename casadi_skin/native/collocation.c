@@ -317,8 +317,9 @@ static void solve_all(const layout *l, factors f, int64_t count, double *x)
     }
 }
 
-KERNEL(collocation_solve)(const layout *l, double *memory, int64_t count, double *x)
+KERNEL(collocation_solve)(const void *of, double *memory, int64_t count, double *x)
 {
+    const layout *l = of;
     solve_all(l, within(l, memory), count, x);
     return 0;
 }

@@ -9,7 +9,7 @@ from casadi_skin.native import LANES, Array, Indices, Structure, give_back, kern
 LAYOUT = 20 * "i" + "aaarra"
 EQUATIONS = 12 * "i" + 21 * "a"
 CHECKS = 3 * "i" + 7 * "a"
-INTERPOLATION = 3 * "i" + 2 * "a"
+INTERVALS = 4 * "i" + 3 * "a"
 
 
 class CollocationKernel:

@@ -216,16 +216,74 @@ KERNEL(collocation_missed)(const equations *e, const checks *c, const double *z,
     return 0;
 }
 
-/* Intervals as solutions are interpolated: support, (R + 1), and its barycentric weights. */
+/* The largest change of a state relative to the size of its component, in a step and, where there is what z misses between
+   its values, (K q, n), less that at the inner check points; NaN where one is none. */
+static double change_of(const equations *e, const checks *c, const double *step, const double *between,
+                        const double *sizes)
+{
+    const int64_t n = e->n, d = e->d;
+    double most = 0.0, none = 0.0;
+    for (int64_t a = 0; a < n; a++) {
+        double of_state = 0.0;
+        for (int64_t i = 0; i <= e->K * e->R; i++) {
+            const double x = fabs(step[i * n + a]);
+            of_state = x > of_state ? x : of_state, none += x * 0.0;
+        }
+        for (int64_t k = 0; between && k < e->K; k++)
+            for (int64_t i = 0; i < c->q; i++) {
+                const double *values = step + k * e->R * n + a;
+                const double x = fabs(product(c->values + i * (d + 1), values, d + 1, n) - between[(k * c->q + i) * n + a]);
+                of_state = x > of_state ? x : of_state, none += x * 0.0;
+            }
+        const double change = of_state / sizes[a];
+        most = change > most ? change : most, none += change * 0.0;
+    }
+    return most + none;
+}
+
+KERNEL(collocation_change)(const equations *e, const checks *c, const double *step, const double *between,
+                           const double *sizes, double *change)
+{
+    *change = change_of(e, c, step, between, sizes);
+    return 0;
+}
+
+/* The step to the solution of a method of twice as many stages, (size), what z misses between its values, and the largest
+   changes by both and by what factors of a Jacobian nearby have left of the step. `room` has 2 size numbers. */
+KERNEL(collocation_improved)(const equations *e, const checks *c, const void *layout, double *memory, const double *z,
+                             const double *numbers, const double *residual, const double *nonzeros, const double *sizes,
+                             double *step, double *between, double *changes, double *room)
+{
+    const int64_t count = e->n * e->K * e->R + e->conditions + e->integrals;
+    double *right = room, *more = room + count + 1;
+    NAMED(collocation_missed)(e, c, z, numbers, right, between);
+    for (int64_t i = 0; i < count; i++)
+        right[i] += residual[i];
+    right[count] = more[count] = 0.0;
+    memcpy(step, right, (size_t)(count + 1) * sizeof(double));
+    NAMED(collocation_solve)(layout, memory, 1, step);
+    NAMED(collocation_applied)(e, nonzeros, step, more);
+    for (int64_t i = 0; i < count; i++)
+        more[i] = right[i] - more[i];
+    NAMED(collocation_solve)(layout, memory, 1, more);
+    for (int64_t i = 0; i <= count; i++)
+        step[i] += more[i];
+    changes[0] = change_of(e, c, step, between, sizes);
+    changes[1] = change_of(e, c, more, 0, sizes);
+    return 0;
+}
+
+/* Intervals with the polynomials on them: through all R + 1 values of one, at `support`, by barycentric weights, and of
+   degree d through the first d + 1, with their weights in the coefficient of degree d. */
 typedef struct {
-    int64_t n, K, R;
-    const double *support, *barycentric;
-} interpolation;
+    int64_t n, K, R, d;
+    const double *support, *barycentric, *leading;
+} intervals;
 
 /* States of `many` solutions z, each `apart` numbers after the one before, at places between the edges of K intervals, to
    `found`, each `after` numbers behind the one before: by the polynomials through all values of an interval, which are
    at `support`, R + 1 of them. */
-KERNEL(collocation_interpolated)(const interpolation *of, const double *edges, int64_t many, const double *z,
+KERNEL(collocation_interpolated)(const intervals *of, const double *edges, int64_t many, const double *z,
                                  int64_t apart, int64_t count, const double *at, double *found, int64_t after)
 {
     const int64_t n = of->n, K = of->K, R = of->R;
@@ -248,6 +306,61 @@ KERNEL(collocation_interpolated)(const interpolation *of, const double *edges, i
             const double *values = z + v * apart + k * R * n;
             for (int64_t a = 0; a < n; a++)
                 found[v * after + a] = hit < 0 ? product(weights, values + a, R + 1, n) / sum : values[hit * n + a];
+        }
+    }
+    return 0;
+}
+
+/* Wanted density of intervals, see zero/mesh.py, which has the same by numpy: of states z in sizes of the components, by
+   the jumps of their derivatives of order d, whose rounding is `noise`. `room` has 3 K numbers. */
+enum { ROUNDS = 3 };
+
+KERNEL(collocation_density)(const intervals *of, const double *lengths, const double *edges, const double *z,
+                            const double *sizes, double noise, double floor, double ratio, double *wanted, double *room)
+{
+    const int64_t n = of->n, K = of->K, d = of->d;
+    double *needed = room, *forward = room + K, *middles = room + 2 * K, least = INFINITY, total;
+    int64_t resolved = 0;
+    for (int64_t k = 0; k < K; k++)
+        wanted[k] = 1.0, middles[k] = edges[k + 1] - 0.5 * lengths[k];
+    for (int64_t k = 0; k < K - 1; k++) { /* forward: jumps, then slopes between two intervals */
+        const double before = pow(lengths[k], -(double)d), after = pow(lengths[k + 1], -(double)d);
+        const double *values = z + k * of->R * n, *next = values + of->R * n, rounding = noise * (after + before);
+        forward[k] = 0.0;
+        for (int64_t a = 0; a < n; a++) {
+            const double jump = fabs(product(of->leading, next + a, d + 1, n) * after -
+                                     product(of->leading, values + a, d + 1, n) * before) / sizes[a];
+            forward[k] = jump > forward[k] ? jump : forward[k];
+        }
+        resolved |= forward[k] > rounding;
+        least = rounding < least ? rounding : least;
+        needed[k] = rounding;
+    }
+    if (!resolved)
+        return 0;
+    for (int64_t k = 0; k < K - 1; k++) {
+        const double jump = forward[k] > 2.0 * needed[k] ? forward[k] - needed[k] : least; /* noise draws none */
+        forward[k] = jump / (0.5 * (lengths[k + 1] + lengths[k]));
+    }
+    for (int64_t k = 0; k < K; k++) {
+        const double left = forward[k ? k - 1 : 0], right = forward[k < K - 1 ? k : K - 2];
+        wanted[k] = needed[k] = pow(k && k < K - 1 ? 0.5 * (left + right) : k ? left : right, 1.0 / (double)(d + 1));
+    }
+    for (int round = 0; round < ROUNDS; round++) { /* floor and rate depend on the mean of the result */
+        total = product(lengths, wanted, K, 1);
+        const double rate = log(ratio) * (double)K / total;
+        double most = INFINITY;
+        for (int64_t k = 0; k < K; k++) {
+            const double own = 1.0 / (needed[k] > floor * total ? needed[k] : floor * total), low = own - rate * middles[k];
+            most = low < most ? low : most;
+            forward[k] = rate * middles[k] + most, wanted[k] = own;
+        }
+        most = INFINITY;
+        for (int64_t k = K - 1; k >= 0; k--) {
+            const double high = wanted[k] + rate * middles[k];
+            most = high < most ? high : most;
+            const double backward = most - rate * middles[k];
+            wanted[k] = 1.0 / (forward[k] < backward ? forward[k] : backward);
         }
     }
     return 0;

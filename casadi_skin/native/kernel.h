@@ -49,6 +49,7 @@ typedef struct {
 
 /* Solutions of `count` systems in the place of their right-hand sides, (count, size), by factors in `memory`. */
 int NAMED(bordered_solve)(const void *layout, double *memory, int64_t count, double *x);
+int NAMED(collocation_solve)(const void *layout, double *memory, int64_t count, double *x);
 
 /* Operations on lists of numbers; those up to `fixed` do not depend on the state, which `values` begin with. */
 typedef struct {

@@ -44,7 +44,7 @@ class CompiledFactors:
         return self.kernel.layout, self.memory
 
     def __call__(self, b: Array) -> Array:
-        x = np.array(b.reshape(b.shape[0], -1).T, order="C")
+        x = np.array(b.T, order="C", ndmin=2)
         self.kernel.solve(self.memory, x)
         return x.T.reshape(b.shape)
 

@@ -11,10 +11,9 @@ resolves the former at once, and repeated equidistribution (de Boor 1973; Ascher
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.newton import Correction, Corrector
@@ -33,10 +32,15 @@ FOLD_TANGENT_RATIO = 1e-4  # tangents that change the parameter by less than thi
 Measured = tuple[ErrorEstimate, Refinement | None]
 
 
-def step_error(problem: Problem, z: Array, step: Array, with_parameter: bool = False) -> ErrorEstimate:
-    """The error that a step from z to the better point makes up for."""
+def step_error(
+    problem: Problem, z: Array, step: Array, with_parameter: bool = False, profile: float | None = None
+) -> ErrorEstimate:
+    """The error that a step from z to the better point makes up for; `profile` is its change of that, where known."""
     parameter = abs(float(step[problem.parameter_index])) / problem.parameter_size(z) if with_parameter else 0.0
-    Omega, profile = abs(problem.frequency_step(z, step)), problem.profile_change(z, step)
+    Omega, profile = (
+        abs(problem.frequency_step(z, step)),
+        problem.profile_change(z, step) if profile is None else profile,
+    )
     return ErrorEstimate(ERROR_SAFETY * Omega, ERROR_SAFETY * profile, parameter=ERROR_SAFETY * parameter)
 
 
@@ -68,59 +72,51 @@ def estimated(
     `tangents` are the tangents at the states, `along` those on the next level. Where something is `held`, the step does
     not use the tangent.
     """
-    finer, long_z = on_finer.problem, on_finer.z
-    free, by_Omega = (np.array([which is one for which in held]) for one in (None, Scalar.OMEGA))
-    Omega = np.array([problem.frequency(one) for one in z])
-    steps = at_parameter(finer, long_z, on_finer.steps, along, free)
-    moves = by_Omega | (free & (along is not None) & (steps[:, finer.parameter_index] != 0.0))
-    errors, floors = _step_errors(finer, long_z, steps, moves, on_finer.between), np.zeros(len(z))
-    errors[0] = np.maximum(errors[0], problem.round_off * Omega)
-    if on_finer.between is not None:  # a step is right up to its square, and that of Omega goes through zero
-        errors[0] = np.maximum(errors[0], errors[1] ** 2 * Omega)
-    near = _largest(errors, Omega) < NEAR_ROUND_OFF
-    if near.any():  # the estimate is at least the rounding error, of the residual and of the constants
-        noise = at_parameter(finer, long_z, on_finer.response(), along, free)
-        floor = _step_errors(finer, long_z, noise, moves)
-        floor[0], floor[1] = np.maximum(floor[0], problem.round_off * Omega), np.maximum(floor[1], problem.round_off)
-        errors, floors = np.where(near, np.maximum(errors, floor), errors), np.where(near, _largest(floor, Omega), 0.0)
-        for i in np.flatnonzero(near & by_Omega).tolist():
-            if tangents is not None:
-                errors[2, i] = max(errors[2, i], _by_constants(problem, z[i], tangents[i]))
-    columns = *errors[:2].tolist(), floors.tolist(), errors[2].tolist()
-    found = [ErrorEstimate(*one) for one in zip(*columns, strict=True)]
-    return [(error, Refinement(finer, better)) for error, better in zip(found, long_z - steps, strict=True)]
+    finer, long_z, between = on_finer.problem, on_finer.z, on_finer.between
+    ways = [None if along is None or which is not None else along[i] for i, which in enumerate(held)]
 
+    def back(steps: Array) -> Array:
+        return np.stack([at_parameter(finer, *one) for one in zip(long_z, steps, ways, strict=True)])
 
-def at_parameter(problem: Problem, z: Array, steps: Array, along: Array | None, free: NDArray[np.bool_]) -> Array:
-    """Steps brought back to the parameter along tangents where `free`, but for the neighbourhood of a fold."""
-    if along is None:
-        return steps
-    index, sizes = problem.parameter_index, np.array([problem.parameter_size(one) for one in z])
-    back = free & (np.abs(along[:, index]) > FOLD_TANGENT_RATIO * sizes)
-    ratios = np.divide(steps[:, index], along[:, index], out=np.zeros(len(z)), where=back)
-    found = np.asarray(steps - along * ratios[:, None])
-    found[back, index] = 0.0  # but for round-off
+    steps, noise, found = back(on_finer.steps), None, list[Measured]()
+    better = long_z - steps
+    if between is None:
+        changes = finer.profile_changes(long_z, steps).tolist()
+    else:
+        changes = [finer.profile_change(long_z[0], steps[0], between)]
+    for i, which in enumerate(held):
+        Omega, by_Omega = problem.frequency(z[i]), which is Scalar.OMEGA
+        moves = by_Omega or (ways[i] is not None and steps[i, finer.parameter_index] != 0.0)
+        error = step_error(finer, long_z[i], steps[i], moves, changes[i])
+        least = problem.round_off * Omega
+        if between is not None:  # a step is right up to its square, and that of Omega goes through zero
+            least = max(least, error.profile**2 * Omega)
+        error = replace(error, Omega=max(error.Omega, least))
+        if error.relative(Omega) < NEAR_ROUND_OFF:  # it is at least that by rounding, of the residual and constants
+            if noise is None:
+                noise = back(on_finer.response())
+                rounded = finer.profile_changes(long_z, noise).tolist()
+            floor = step_error(finer, long_z[i], noise[i], moves, rounded[i])
+            floor = replace(
+                floor, Omega=max(floor.Omega, problem.round_off * Omega), profile=max(floor.profile, problem.round_off)
+            )
+            parameter = max(error.parameter, floor.parameter)
+            if by_Omega and tangents is not None:
+                parameter = max(parameter, _by_constants(problem, z[i], tangents[i]))
+            largest = max(error.Omega, floor.Omega), max(error.profile, floor.profile)
+            error = ErrorEstimate(*largest, floor.relative(Omega), parameter)
+        found.append((error, Refinement(finer, better[i])))
     return found
 
 
-def _step_errors(
-    problem: Problem, z: Array, steps: Array, with_parameter: NDArray[np.bool_], between: Array | None = None
-) -> Array:
-    """As `step_error` of several states: errors of Omega, of the profile and of the parameter, shape (3, states)."""
-    errors = np.zeros((3, len(z)))
-    errors[0] = [abs(problem.frequency_step(*one)) for one in zip(z, steps, strict=True)]
-    errors[1] = (
-        problem.profile_changes(z, steps) if between is None else problem.profile_change(z[0], steps[0], between)
-    )
-    for i in np.flatnonzero(with_parameter).tolist():
-        errors[2, i] = abs(steps[i, problem.parameter_index]) / problem.parameter_size(z[i])
-    errors *= ERROR_SAFETY
-    return errors
-
-
-def _largest(errors: Array, Omega: Array) -> Array:
-    """The largest of the three errors of each state, with that of Omega made relative."""
-    return np.asarray(np.max([errors[0] / Omega, errors[1], errors[2]], axis=0))
+def at_parameter(problem: Problem, z: Array, step: Array, along: Array | None) -> Array:
+    """A step brought back to the parameter along a tangent, but for the neighbourhood of a fold; as it is without."""
+    index = problem.parameter_index
+    if along is None or not abs(along[index]) > FOLD_TANGENT_RATIO * problem.parameter_size(z):
+        return step
+    found = np.asarray(step - along * (step[index] / along[index]))
+    found[index] = 0.0  # but for round-off
+    return found
 
 
 def _by_constants(problem: Problem, z: Array, tangent: Array) -> float:

@@ -10,6 +10,7 @@ the right null vector is what they do not determine. Both come from inverse iter
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -115,7 +116,7 @@ class NewtonCorrector(Corrector):
         if self.problem.frequency(guess) <= 0:
             return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
         z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
-        last, reuse, solve = np.inf, False, None
+        last, reuse, solve, right = np.inf, False, None, np.empty(guess.size)
         for iteration in range(1, self.max_iterations + 1):
             check_time_limit(f"step {iteration} of Newton's method, {self.problem.size} unknowns")
             try:
@@ -125,8 +126,9 @@ class NewtonCorrector(Corrector):
                     solve = self._solver.factor(z, nonzeros, row)
             except SingularError as error:
                 return Correction(z, Status.SINGULAR, iteration, str(error))
-            step = solve(np.append(residual, row @ z - value))
-            length = float(np.sqrt(np.sum(weights * step**2)))
+            right[:-1], right[-1] = residual, row @ z - value
+            step = solve(right)
+            length = math.sqrt(weights @ (step * step))
             if reuse and not length <= SLOW_STEP_RATIO * last:
                 reuse = False
                 continue

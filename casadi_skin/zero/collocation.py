@@ -24,7 +24,7 @@ import numpy as np
 from casadi_skin.model.conserved import SymmetryClass, pinned_components, unfolded_phases
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import Structure, kernels
-from casadi_skin.native.collocation import INTERPOLATION
+from casadi_skin.native.collocation import INTERVALS
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.discretisation import Discretisation, Formulation
@@ -101,7 +101,7 @@ class CollocationEquations(Problem):
     def applied(self, z: Array, step: Array) -> Array:
         return self.discretisation.applied(z, self.numbers, step)
 
-    @property
+    @cached_property
     def numbers(self) -> Array:
         return np.concatenate([self.constants, self.values]) if self.values.size else self.constants
 
@@ -119,6 +119,7 @@ class CollocationEquations(Problem):
         _ = self.discretisation
         other = copy.copy(self)
         other.mesh = mesh.Mesh(constants, self.table.ends)
+        other.__dict__.pop("numbers", None)
         return other
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
@@ -197,7 +198,7 @@ class CollocationEquations(Problem):
         if kernels():
             z, apart = np.ascontiguousarray(z), found.size // len(z)
             data = self.mesh.edges, len(z), z, z.shape[1], fractions.size, np.ascontiguousarray(fractions), found, apart
-            kernels()["collocation_interpolated"](self.kept("interpolation", self._interpolation), *data)
+            kernels()["collocation_interpolated"](self._intervals, *data)
             return
         weights_at = _weights if fractions.size <= FEW_PLACES else _weights.__wrapped__
         columns, weights = weights_at(*(array.tobytes() for array in (self.constants, self.table.ends, fractions)))
@@ -205,10 +206,17 @@ class CollocationEquations(Problem):
             values = one[: self.states].reshape(self.columns, self.formulation.states)
             to[:count] = np.einsum("tk,tkn->tn", weights, values[columns]).ravel()
 
-    def _interpolation(self) -> Structure:
-        support = np.append(0.0, self.table.ends)
-        sizes = self.formulation.states, self.resolution, self.table.ends.size
-        return Structure(INTERPOLATION, *sizes, support, _barycentric(support))
+    @cached_property
+    def _intervals(self) -> Structure:
+        """The polynomials on the intervals, as kernels take them."""
+
+        def made() -> Structure:
+            support = np.append(0.0, self.table.ends)
+            sizes = self.formulation.states, self.resolution, self.table.ends.size, self.degree
+            return Structure(INTERVALS, *sizes, support, _barycentric(support), _leading(self.table))
+
+        found: Structure = self.kept("intervals", made)
+        return found
 
     def all_prolonged(self, z: Array, finer: Self) -> Array:
         if self.is_placed_as(finer):
@@ -223,8 +231,7 @@ class CollocationEquations(Problem):
 
     def is_placed_as(self, other: CollocationEquations) -> bool:
         """Whether unknowns of both are values at the same places."""
-        same = self.mesh is other.mesh or np.array_equal(self.constants, other.constants)
-        return same and self.table is other.table
+        return self.table is other.table and (self.mesh is other.mesh or self.mesh.key == other.mesh.key)
 
     def left_by(self, finer: CollocationEquations) -> float:
         """The part of the error at ends of intervals that a finer mesh leaves: it falls faster there."""
@@ -246,11 +253,15 @@ class CollocationEquations(Problem):
     def _wanted(self, z: Array) -> Array:
         K, d, rows = self.resolution, self.degree, self.table.ends.size
         values = z[: self.states].reshape(self.columns, self.formulation.states)
-        values = values / self._component_sizes(values)
+        sizes, weights = self._component_sizes(values), _leading(self.table)
+        noise = MESH_NOISE * float(np.abs(weights).sum())
+        if kernels():
+            wanted, limits = np.empty(K), (mesh.DENSITY_FLOOR, mesh.NEIGHBOUR_LENGTH_RATIO)
+            data = self._intervals, self.constants, self.mesh.edges, values, sizes, noise, *limits
+            kernels()["collocation_density"](*data, wanted, np.empty(3 * K))
+            return wanted
         columns = np.arange(K)[:, None] * rows + np.arange(d + 1)
-        weights = _barycentric(self.table.support)
-        noise = MESH_NOISE * float(np.sum(np.abs(weights)))
-        return mesh.density(self.constants, np.einsum("j,kjn->kn", weights, values[columns]), d, noise)
+        return mesh.density(self.constants, np.einsum("j,kjn->kn", weights, (values / sizes)[columns]), d, noise)
 
     def transferred(self, other: Other) -> Other:
         return other.with_constants(mesh.resampled(self.constants, other.resolution))
@@ -281,6 +292,12 @@ def _weights(lengths: bytes, ends: bytes, fractions: bytes) -> tuple[Indices, Ar
     weights[hit] = 1.0
     weights /= weights.sum(axis=1, keepdims=True)
     return interval[:, None] * (support.size - 1) + np.arange(support.size), weights
+
+
+@lru_cache(maxsize=8)
+def _leading(table: CollocationTable) -> Array:
+    """Weights of the values that determine the polynomial in its leading coefficient."""
+    return _barycentric(table.support)
 
 
 def _barycentric(support: Array) -> Array:

@@ -22,7 +22,7 @@ from casadi_skin.native import Structure as Compiled
 from casadi_skin.native import kernels
 from casadi_skin.native.collocation import CHECKS, EQUATIONS
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.problem import Array, Buffers, Indices
+from casadi_skin.zero.problem import Array, Buffers, Indices, Solve
 
 Pattern = tuple[tuple[int, ...], ...]  # rows and columns of non-zeros, by columns
 
@@ -408,6 +408,46 @@ def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, 
         whole = table.quadrature[0] @ at_stages + table.quadrature[1] @ integrands
         residual.append(lengths @ whole - lengths @ (equations.table.extended[-1] @ at_stages))
     return np.concatenate(residual), (table.between @ defects).reshape(-1, of.states)
+
+
+def improved(
+    equations: Discretisation, z: Array, numbers: Array, solve: Solve, sizes: Array
+) -> tuple[Array, Array, Array]:
+    """The step to the solution of a method of twice as many stages, and what z misses between, see `missed`.
+
+    And the largest changes by both, and by what the factors of a Jacobian nearby have left of the step.
+    """
+    (residual, nonzeros), size, compiled = equations(z, numbers), z.size, getattr(solve, "compiled", None)
+    if kernels() and equations.checks is not None and compiled is not None:
+        inner = equations.intervals * equations.table.defect.inner.size
+        found = np.empty(size), np.empty((inner, equations.formulation.states)), np.empty(2)
+        data = equations.compiled, equations.checks, *compiled, z, numbers, residual, nonzeros, sizes
+        kernels()["collocation_improved"](*data, *found, np.empty(2 * size))
+        return found
+    left, between = missed(equations, z, numbers)
+    right = np.append(residual + left, 0.0)
+    step = solve(right)
+    right[:-1] -= equations.applied(z, numbers, step)
+    more = solve(right)
+    step = step + more
+    changes = change_of(equations, step, between, sizes), change_of(equations, more, None, sizes)
+    return step, between, np.array(changes)
+
+
+def change_of(equations: Discretisation, step: Array, between: Array | None, sizes: Array) -> float:
+    """The largest change of a state in a step, and of what solutions miss between, relative to its component's size."""
+    if kernels() and equations.checks is not None:
+        found = np.empty(1)
+        data = equations.compiled, equations.checks, np.ascontiguousarray(step), between, sizes
+        kernels()["collocation_change"](*data, found)
+        return float(found[0])
+    moves = step[: equations.state_values].reshape(-1, equations.formulation.states)
+    largest = np.max(np.abs(moves), axis=0)
+    if between is not None:
+        first, table = equations.structure.start[:, None], equations.table.defect
+        inner = (table.values @ moves[first + np.arange(equations.table.degree + 1)]).reshape(between.shape) - between
+        largest = np.maximum(largest, np.max(np.abs(inner), axis=0, initial=0.0))
+    return float(np.max(largest / sizes))
 
 
 def polynomials(equations: Discretisation, z: Array) -> tuple[Array, Array]:

@@ -47,6 +47,11 @@ class Mesh:
     ends: Array
 
     @cached_property
+    def key(self) -> bytes:
+        """Equal for meshes of equal lengths."""
+        return self.lengths.tobytes()
+
+    @cached_property
     def edges(self) -> Array:
         """Ends of the intervals from 0 to 1, shape (intervals + 1,)."""
         return edges(self.lengths)
@@ -56,6 +61,11 @@ class Mesh:
         """Places of all values in [0, 1], shape (intervals * ends + 1,)."""
         inner = self.edges[:-1, None] + self.lengths[:, None] * self.ends
         return np.concatenate([[0.0], inner.ravel()])
+
+    @cached_property
+    def gaps(self) -> Array:
+        """Distances between these."""
+        return np.asarray(self.places[1:] - self.places[:-1])
 
 
 def density(lengths: Array, leading: Array, degree: int, noise: float = 0.0) -> Array:

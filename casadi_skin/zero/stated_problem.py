@@ -19,7 +19,7 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.balanced import Faint
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.collocation import CollocationEquations
-from casadi_skin.zero.discretisation import Formulation, missed
+from casadi_skin.zero.discretisation import Formulation, change_of, improved
 from casadi_skin.zero.problem import Array, Problem, Scalar, Solve
 from casadi_skin.zero.statement import Statement
 
@@ -47,6 +47,7 @@ class BoundaryProblem(CollocationEquations):
 
     measured_by_defect = True
     faint: Faint | None = None
+    _sized = _weighed = b"", np.empty(0)
 
     def __init__(
         self,
@@ -103,6 +104,8 @@ class BoundaryProblem(CollocationEquations):
         Of a condition whose derivative vanishes the size is that of the smallest, or 1: it determines nothing there.
         """
         sizes, floors = self.sizes(z), self.floors
+        if floors.all():
+            return sizes, min(1.0, float(floors.min()) / COMPONENT_FLOOR)
         states = sizes[: self.states].reshape(self.columns, -1)
         states[:, floors == 0.0] = np.max(states[0])
         return sizes, float(np.min(floors[floors > 0.0] / COMPONENT_FLOOR, initial=1.0))
@@ -123,28 +126,22 @@ class BoundaryProblem(CollocationEquations):
         return float(np.max(np.abs(step[free]) / self._scalar_sizes(z), initial=0.0))
 
     def profile_change(self, z: Array, step: Array, between: Array | None = None) -> float:
-        moves, values = (v[: self.states].reshape(self.columns, -1) for v in (step, z))
-        largest = _largest(moves)
-        if between is not None:
-            columns = self.discretisation.structure.start[:, None] + np.arange(self.degree + 1)
-            inner = (self.table.defect.values @ moves[columns]).reshape(between.shape) - between
-            largest = np.maximum(largest, _largest(inner))
-        return float(np.max(largest / self._component_sizes(values)))
+        sizes = self._component_sizes(z[: self.states].reshape(self.columns, -1))
+        return change_of(self.discretisation, step, between, sizes)
 
     def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array] | None:
         """The step to the solution of a method of twice as many stages, and what z misses between its own stages."""
-        left, between = missed(self.discretisation, z, self.numbers)
-        right = np.append(self.evaluate(z)[0] + left, 0.0)
-        step = solve(right)
-        right[:-1] -= self.applied(z, step)  # factors of a Jacobian nearby leave the part by which that differs
-        more = solve(right)
-        step = step + more
-        largest, rest = (self.profile_change(z, *one) for one in ((step, between), (more,)))
+        sizes = self._component_sizes(z[: self.states].reshape(self.columns, -1))
+        step, between, (largest, rest) = improved(self.discretisation, z, self.numbers, solve, sizes)
         return (step, between) if rest <= NEARBY_FACTORS_RATIO * largest else None
 
     def _component_sizes(self, values: Array) -> Array:
-        own = np.maximum(_largest(values), self.floors)
-        return np.where(self.floors > 0.0, own, np.maximum(own, SMALLEST_COMPONENT_RATIO * own.max()))
+        """Not to be written to: the last ones are kept, as a solution is measured several times."""
+        at = values.tobytes() + self.floors.tobytes()
+        if at != self._sized[0]:
+            own = np.maximum(_largest(values), self.floors)
+            self._sized = at, np.where(self.floors > 0.0, own, np.maximum(own, SMALLEST_COMPONENT_RATIO * own.max()))
+        return self._sized[1]
 
     def measure_by(self, z: Array) -> None:
         """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.
@@ -170,18 +167,24 @@ class BoundaryProblem(CollocationEquations):
 
         Tails do not count: components that are faint where a branch starts are measured by what acts on them.
         """
-        weights, values = np.empty(self.size), z[: self.states].reshape(self.columns, -1)
-        sizes = self._component_sizes(values)
-        if self.faint is not None:
-            sizes = self.faint.measured(sizes)
-        weights[: self.states].reshape(values.shape)[:] = sizes**-2.0 / self.columns
-        weights[self.states : -1], weights[-1] = self._scalar_sizes(z) ** -2.0, parameter_scale**-2.0
+        at = z.tobytes() + self.floors.tobytes()
+        if at != self._weighed[0]:
+            weights, values = np.empty(self.size), z[: self.states].reshape(self.columns, -1)
+            sizes = self._component_sizes(values)
+            if self.faint is not None:
+                sizes = self.faint.measured(sizes)
+            weights[: self.states].reshape(values.shape)[:] = sizes**-2.0 / self.columns
+            weights[self.states : -1] = self._scalar_sizes(z) ** -2.0
+            self._weighed = at, weights
+        weights = self._weighed[1].copy()
+        weights[-1] = parameter_scale**-2.0
         return weights
 
     def has_layers(self, z: Array) -> bool:
         values = z[: self.states].reshape(self.columns, -1)
-        ways = np.linalg.norm(np.diff(values, axis=0) / self._component_sizes(values), axis=1)
-        return bool(np.max(ways / np.diff(self._fractions())) > LAYER_SPEED_RATIO * np.sum(ways))
+        moves = (values[1:] - values[:-1]) / self._component_sizes(values)
+        ways = np.sqrt(np.einsum("ij,ij->i", moves, moves))
+        return bool((ways / self.mesh.gaps).max() > LAYER_SPEED_RATIO * ways.sum())
 
     def rounding(self, z: Array) -> Array:  # type: ignore[override]
         """Of each equation, as components of the state have units of their own."""

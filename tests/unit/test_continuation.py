@@ -489,9 +489,9 @@ def test_a_prediction_from_four_points_is_exact_to_degree_seven() -> None:
         return np.array([x, graph(x)]), 1.7 * np.array([1.0, graph.deriv()(x)])  # tangents of any length
 
     row = np.array([1.0, 0.0])
-    before = [point(x) for x in (-0.2, -0.5, -0.6)]
-    np.testing.assert_allclose(predictor(*point(0.0), before, row)(0.4), point(0.4)[0], atol=1e-12)
-    misses = [abs(predictor(*point(0.0), before[:n], row)(0.1)[1] - graph(0.1)) for n in range(4)]
+    points = np.array([point(x) for x in (0.0, -0.2, -0.5, -0.6)])
+    np.testing.assert_allclose(predictor(points, row)(0.4), point(0.4)[0], atol=1e-12)
+    misses = [abs(predictor(points[: n + 1], row)(0.1)[1] - graph(0.1)) for n in range(4)]
     assert misses[0] > 5 * misses[1]
     assert misses[1] > misses[2] > 1e6 * misses[3]
 
@@ -500,7 +500,7 @@ def test_a_prediction_leaves_out_points_that_lie_behind_a_turn() -> None:
     z, t, row = np.array([0.0, 0.0]), np.array([1.0, 0.0]), np.array([1.0, 0.0])
     good = (np.array([-0.1, 0.01]), np.array([1.0, -0.2]))
     behind = (np.array([-0.05, 1.0]), np.array([-1.0, 0.0]))
-    with_all, with_good = (predictor(z, t, before, row) for before in ([good, behind], [good]))
+    with_all, with_good = (predictor(np.array([(z, t), *before]), row) for before in ([good, behind], [good]))
     np.testing.assert_array_equal(with_all(0.1), with_good(0.1))
 
 

@@ -74,9 +74,8 @@ def test_a_prediction_goes_along_the_tangent_where_rounding_spoils_the_polynomia
     line = [(np.array([1e-6 * k, 0.0]) + 1e-9 * noise[k], np.array([1.0, 0.0]) + 1e-4 * noise[k]) for k in range(5)]
     angles = 0.2 * np.arange(5)
     circle = [(np.array([np.sin(a), np.cos(a)]), np.array([np.cos(a), -np.sin(a)])) for a in angles]
-    for points, kept in ((line, 0), (circle, 4)):
-        z, t = points[-1]
-        assert len(predicting(z, points[-2::-1], t, np.ones(2))) == kept
+    for points, kept in ((line, 1), (circle, 5)):
+        assert len(predicting(np.array(points[::-1]), points[-1][1], np.ones(2))) == kept
 
 
 @pytest.mark.slow
