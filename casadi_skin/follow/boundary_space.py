@@ -501,7 +501,7 @@ class BoundarySpace(ParameterSpace):
             return known
         moves = problem.own_tangent is None and bool(np.any(point.tangent))
         try:
-            return self.levels.refined(problem, point.z, point.tangent if moves else None)[1]
+            return self.levels.better(problem, point.z, point.tangent if moves else None)
         except SingularError:
             return None
 
@@ -520,8 +520,8 @@ class BoundarySpace(ParameterSpace):
         def closed(problem: BoundaryProblem, z: Array) -> Closed:
             if self.closure is not None:
                 return Closed.by(self.closure, problem, z)
-            periodic, period = self._orbit_of(), self.interval(replace(point, problem=problem, z=z))[1]
-            return Closed(problem, z, periodic.model, periodic.symmetry, period)
+            periodic = self._orbit_of()
+            return Closed(problem, z, periodic.model, periodic.symmetry)
 
         finer = None if better is None else closed(stated(better.problem), better.z)
         return FULL_PERIOD_FLOWS[by](closed(stated(point.problem), point.z), finer, self.tolerance)

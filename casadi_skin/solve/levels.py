@@ -284,21 +284,40 @@ class Levels:
         return found
 
     def _refined(self, problem: Problem, z: Array, tangent: Array | None, held: Scalar | None) -> Measured:
+        on_finer = self._on_finer(problem, z, tangent, held)
+        if on_finer is None:
+            return ErrorEstimate(np.inf, np.inf), None
+        tangents = None if tangent is None else tangent[None]
+        return estimated(problem, z[None], on_finer[0], tangents, on_finer[1], [held])[0]
+
+    def better(self, problem: Problem, z: Array, tangent: Array | None = None) -> Refinement | None:
+        """The better orbit of `refined` without the error that it shows."""
+        on_finer = self._on_finer(problem, z, tangent, Scalar.PARAMETER if tangent is None else None)
+        if on_finer is None:
+            return None
+        finer, long_z, along = on_finer[0].problem, on_finer[0].z[0], on_finer[1]
+        step = at_parameter(finer, long_z, on_finer[0].steps[0], None if along is None else along[0])
+        return Refinement(finer, long_z - step)
+
+    def _on_finer(
+        self, problem: Problem, z: Array, tangent: Array | None, held: Scalar | None
+    ) -> tuple[OnFiner, Array | None] | None:
+        """z on the next finer level, and the way of the branch there if that is taken."""
         finer = self.finer(problem)
         if finer is None:
-            return ErrorEstimate(np.inf, np.inf), None
-        long_z = problem.prolong(z, finer)
-        row = finer.row_of(held or Scalar.PARAMETER)
-        along = None if tangent is None or held is not None else problem.prolong(tangent, finer)
-        if along is not None:
-            row = finer.metric(long_z, 1.0) * along
+            return None
+        if tangent is None or held is not None:
+            long_z, along, row = problem.prolong(z, finer), None, finer.row_of(held or Scalar.PARAMETER)
+        else:
+            long_z, way = problem.all_prolonged(np.array([z, tangent]), finer)
+            along, row = way[None], finer.metric(long_z, 1.0) * way
         residual, nonzeros = finer.evaluate(long_z)
         solve = self.solver(finer).factor(long_z, nonzeros, row)
-        step = solve(np.append(residual, 0.0))
-        noise = finer.rounding(long_z) * finer.probe
-        better = OnFiner(finer, long_z[None], step[None], lambda: solve(np.append(noise, 0.0))[None])
-        ways = None if along is None else along[None]
-        return estimated(problem, z[None], better, None if tangent is None else tangent[None], ways, [held])[0]
+
+        def response() -> Array:
+            return solve(np.append(finer.rounding(long_z) * finer.probe, 0.0))[None]
+
+        return OnFiner(finer, long_z[None], solve(np.append(residual, 0.0))[None], response), along
 
     def all_refined(
         self, problem: Problem, z: Array, tangents: Array, held: Sequence[Scalar | None]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -53,7 +53,7 @@ class Spectrum:
         with np.errstate(divide="ignore"):
             return cls(np.log(moduli), np.where(moduli > 0.0, values / np.where(moduli > 0.0, moduli, 1.0), 1.0))
 
-    @property
+    @cached_property
     def values(self) -> ComplexArray:
         """The eigenvalues, those beyond the largest double as that."""
         return np.asarray(np.exp(np.minimum(self.logs, LARGEST_LOGARITHM)) * self.phases)
@@ -273,21 +273,19 @@ def no_trivial(n: int) -> Trivial:
 
 
 def trivial_along(
-    model: OdeModel, symmetry: SymmetryClass, states: Array, parameters: Array, duration: float, tolerance: float
-) -> Trivial:
-    """The trivial multipliers of an orbit of a model of first order through states at the ends of intervals.
+    model: OdeModel, symmetry: SymmetryClass, states: Array, units: Array, parameters: Array, duration: float,
+    tolerance: float,
+) -> Trivial:  # fmt: skip
+    """The trivial multipliers of an orbit of an autonomous model through states, of sizes `units`, at all ends.
 
-    None of a forced model, one of an autonomous one, two of orbits that come in families; more where more is conserved.
-    At rest, which `duration` decides, the one nearest to 1 stands for that of time.
+    One, two of orbits that come in families; more where more is conserved. At rest, which `duration` decides, the one
+    nearest to 1 stands for that of time.
     """
-    if model.forced:
-        return no_trivial(states.shape[1])
     right, left = vectors_along(model, states, parameters)
-    units = units_of(states)
     rests = not float(np.max(np.abs(right[:, 0] / units))) * duration > SLOWEST_MOTION_RATIO
     found = trivial_of(right[:, 1:] if rests else right, left, units, tolerance)
     count = max(found.count + rests, 1)
-    return replace(found, count=count + _by_reversal(model, symmetry, count))
+    return Trivial(count + _by_reversal(model, symmetry, count), found.right, found.left)
 
 
 def vectors_along(model: OdeModel, states: Array, parameters: Array) -> tuple[Array, Array]:
@@ -325,7 +323,8 @@ def _independent(vectors: Array, units: Array, least: float) -> Array:
 
     Between vectors that the flow carries along linear relations hold all along an orbit.
     """
-    vectors = vectors[:, np.any(vectors != 0.0, axis=(0, 2))]
+    if vectors.shape[1]:
+        vectors = vectors[:, np.any(vectors != 0.0, axis=(0, 2))]
     if vectors.shape[1] < 2:
         return vectors
     scaled = vectors * units

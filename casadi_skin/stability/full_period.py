@@ -73,17 +73,18 @@ def judged(
 
 def _distances(found: Spectrum, better: Spectrum) -> Array:
     """Of each eigenvalue from the one that it is paired with; infinite without one."""
-    from scipy.optimize import linear_sum_assignment
-
     values, others = found.values, better.values
     with np.errstate(invalid="ignore", over="ignore"):
         sizes = np.maximum(1.0, np.maximum(np.abs(values)[:, None], np.abs(others)))
         apart = np.abs(values[:, None] / sizes - others / sizes)
-    rows, columns = linear_sum_assignment(apart)
-    distances = np.full(values.size, np.inf)
-    with np.errstate(over="ignore"):
+        distances = np.full(values.size, np.inf)
+        rows, columns = np.arange(values.size), apart.argmin(axis=1) if others.size else np.arange(0)
+        if len(set(columns.tolist())) < values.size:  # the nearest is not each one's own
+            from scipy.optimize import linear_sum_assignment
+
+            rows, columns = linear_sum_assignment(apart)
         distances[rows] = apart[rows, columns] * sizes[rows, columns]
-    if not values.size:
+    if not np.any(values.imag):
         return distances
     partners = np.argmin(np.abs(values[:, None].conj() - values), axis=1)
     return np.asarray(np.maximum(distances, distances[partners]))
@@ -217,7 +218,6 @@ class Closed:
         problem, z: the problem and its unknowns.
         model: the model, of first order where S is not 1.
         symmetry: the part of the period that is unknown.
-        period: of a periodic solution.
         turn: S, shape (n, n), of a solution that conditions take back to S times its start; None where it is 1.
     """
 
@@ -225,7 +225,6 @@ class Closed:
     z: Array
     model: OdeModel
     symmetry: SymmetryClass = SymmetryClass.FULL
-    period: float = np.nan
     turn: Array | None = None
 
     @classmethod
@@ -234,10 +233,21 @@ class Closed:
         return cls(problem, z, closure.statement.model, turn=closure.matrix)
 
     @cached_property
+    def _all_parameters(self) -> Array:
+        """Those of the problem, in its order."""
+        return self.problem.parameters(self.z)
+
+    @property
     def parameters(self) -> Array:
         """Those of the model."""
-        values = dict(zip(self.problem.statement.model.parameter_names, self.problem.parameters(self.z), strict=True))
-        return np.array([values[name] for name in self.model.parameter_names])
+        names = self.problem.statement.model.parameter_names
+        return self._all_parameters[[names.index(name) for name in self.model.parameter_names]]
+
+    @property
+    def period(self) -> float:
+        """That of a periodic solution."""
+        start, end = self.problem.statement.span(self._all_parameters)
+        return (end - start) / self.symmetry.value
 
     @property
     def size(self) -> int:
@@ -249,7 +259,12 @@ class Closed:
         """Whether the whole period is solved for."""
         return self.symmetry is SymmetryClass.FULL
 
-    @property
+    @cached_property
+    def units(self) -> Array:
+        """Sizes of the components."""
+        return units_of(self.ends)
+
+    @cached_property
     def ends(self) -> Array:
         """States at the ends of the intervals of the whole period, shape (ends, n)."""
         columns = self.z[: self.problem.states].reshape(self.problem.columns, -1)
@@ -288,7 +303,9 @@ class Closed:
         """The multipliers that are 1 for every orbit, with their vectors: those that S maps as it maps the solution."""
         model, S, states = self.model, self.turn, self.ends if ends is None else ends
         if S is None:
-            return trivial_along(model, self.symmetry, states, self.parameters, self.period, tolerance)
+            if model.forced:
+                return no_trivial(self.size)
+            return trivial_along(model, self.symmetry, states, self.units, self.parameters, self.period, tolerance)
         problem, n = self.problem, self.size
         values = self.z[: problem.states].reshape(problem.columns, -1)[:, :n]
         size = max(float(np.max(np.abs(values))), float(np.max(problem.floors[:n])))
@@ -321,13 +338,13 @@ def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Fl
 
 def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multipliers:
     """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
-    problem, n, units = orbit.problem, orbit.size, units_of(orbit.ends)
+    problem, n = orbit.problem, orbit.size
     jacobians = problem.discretisation.jacobians(orbit.z, problem.numbers)[:, :n, :n]  # at all stages, of unit length
     maps, contraction = interval_maps(jacobians, problem.constants, problem.table)
     contraction = orbit.contraction(contraction)
 
     def multipliers(maps: Array, trivial: Trivial) -> Multipliers:
-        return multipliers_along(orbit.over_the_period(maps), trivial, units, contraction, with_rounding)
+        return multipliers_along(orbit.over_the_period(maps), trivial, orbit.units, contraction, with_rounding)
 
     trivial = orbit.trivial(tolerance)
     found = multipliers(maps, trivial)
@@ -358,7 +375,7 @@ def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet
 
 def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipliers:
     """Of states in units of their size: local errors are relative to that."""
-    start, units = orbit.ends[0], units_of(orbit.ends)
+    start, units = orbit.ends[0], orbit.units
     try:
         numbers = np.concatenate([orbit.parameters, [orbit.period], units])
         matrix = transition_by_cvodes(orbit.model, start, numbers, local, stiff=True)
