@@ -333,6 +333,7 @@ class BoundarySpace(ParameterSpace):
         """Start and end of the part that is unknown."""
         return self.statement.span(self.parameters(point).values())
 
+    @of_last_points
     def jump(self, point: Point) -> str:
         """That the equations jump along a solution, with the equation; empty where they do not.
 

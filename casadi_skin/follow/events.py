@@ -32,7 +32,7 @@ from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import FULL_TURN, Exponents
+from casadi_skin.stability.result import FULL_TURN, Exponents, turned
 from casadi_skin.zero.kinds import BRANCH_POINT, CROSSING_KINDS, FOLD, KREIN, TORUS, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
@@ -201,7 +201,8 @@ class _OrbitSearch(Search):
                 near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
                 if near is None:  # beside a branch point rounding decides; the extended equations are regular there
                     near = replace(self.last, z=stretch.curve.at(fraction * stretch.length), better=None, special="")
-                event = self.event(stretch, special_orbit(self.space, passage.kind, near, passage.angle), passage)
+                angle = self._angle_at(near, passage)
+                event = self.event(stretch, special_orbit(self.space, passage.kind, near, angle), passage)
                 if event is not None:
                     return event
         k = passage.quantity  # without extended equations the root of the quantity itself
@@ -209,6 +210,14 @@ class _OrbitSearch(Search):
         return self.event(
             stretch, self.root_of(stretch, self.quantity(stretch, k), float(noise), passage.kind), passage
         )
+
+    def _angle_at(self, near: Point, passage: Crossing) -> float:
+        """That of the multipliers that pass, at an orbit near the passage: between two orbits a pair may turn far."""
+        if passage.kind != TORUS:
+            return passage.angle
+        values = self.sampler.here(near).values
+        found = abs(float(values[np.argmin(np.abs(turned(values - 1j * passage.angle)))].imag))
+        return found if 0.0 < found < np.pi else passage.angle
 
     def event(self, stretch: SampledStretch, point: Point | None, passage: Crossing) -> Event | None:
         """A special point as the event of a passage; None where it is outside the part of the stretch."""

@@ -37,7 +37,7 @@ from casadi_skin.follow.search import (
     zero_between,
 )
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace, corrector_of, snapped, target_of
+from casadi_skin.follow.space import SolutionSpace, corrector_of, of_last_points, snapped, target_of
 from casadi_skin.model.arguments import with_error
 from casadi_skin.model.result import Result
 from casadi_skin.solve.levels import ExactLevels
@@ -82,6 +82,18 @@ def rate(point: Point) -> float:
     return float(point.tangent[point.problem.parameter_index])
 
 
+@of_last_points
+def rate_change(solver: PointSolver, point: Point) -> float:
+    """How this rate changes along the branch: stretches on both sides of a point ask for it; 0 where it is singular."""
+    ahead = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP)
+    try:
+        solve = solver.factor(ahead.problem, ahead.z, solver.metric(point.problem, point.z) * point.tangent)
+        tangent = solver.tangent(ahead.problem, ahead.z, solve)
+    except SingularError:
+        return 0.0
+    return (rate(replace(ahead, tangent=tangent)) - rate(point)) / TANGENT_DIFFERENCE_STEP
+
+
 class _Turns(Search):
     """The search for roots of the rate of the parameter."""
 
@@ -89,13 +101,7 @@ class _Turns(Search):
         return np.array([rate(point)])
 
     def rates(self, point: Point, here: Array) -> Array:
-        ahead, solver = beside_on_tangent(point, TANGENT_DIFFERENCE_STEP), self.solver
-        try:
-            solve = solver.factor(ahead.problem, ahead.z, self.metric(point) * point.tangent)
-            tangent = solver.tangent(ahead.problem, ahead.z, solve)
-        except SingularError:
-            return np.zeros(1)
-        return np.asarray(rate(replace(ahead, tangent=tangent)) - here) / TANGENT_DIFFERENCE_STEP
+        return np.full(1, rate_change(self.solver, point))
 
     def passes(self, ends: SampledStretch) -> bool:
         return super().passes(ends) and not self._hides(ends)
@@ -362,9 +368,10 @@ def _solved(solver: PointSolver, problem: Augmented, z: Array, unit: float) -> L
     found = solver.refined(problem, correction, row, Scalar.PARAMETER) if correction.converged else None
     if found is None:
         return None
-    problem, better, z = found.problem, found.better, found.z
-    assert better is not None
-    solve, index = solver.factor(problem, z, problem.parameter_row()), problem.first_index
+    assert found.better is not None
+    known = correction.solve if found.problem is problem and found.better.problem is not problem else None
+    problem, better, z, index = found.problem, found.better, found.z, found.problem.first_index
+    solve = known or solver.factor(problem, z, problem.parameter_row())
     step, rounding = solve(np.append(problem.evaluate(z)[0], 0.0)), problem.rounding(z)
     z = z - step
     if better.problem is problem:  # of one level, whose error steps make up for

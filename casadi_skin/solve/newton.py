@@ -149,7 +149,7 @@ class NewtonCorrector(Corrector):
             if length <= self.tolerance or quadratic or linear:
                 return Correction(z, Status.CONVERGED, iteration, solve=solve)
             shrinks = length <= CHORD_STEP or length <= FAST_STEP_RATIO * min(last, 1.0)
-            reuse, last = self.problem.in_order and shrinks, length
+            reuse, last = self.problem.keeps_factors and shrinks, length
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.describe_largest_residual(z))
 
     def _lower(self, z: Array, step: Array, row: Array, value: float) -> Array | None:

@@ -240,7 +240,7 @@ class SingularProblem(Augmented, BoundaryProblem):
     A finer mesh shows the errors: the scalar that vanishes has factors of its own, and no defect.
     """
 
-    measured_by_defect = False
+    measured_by_defect = keeps_factors = False
 
     def __init__(self, singularity: Singularity, statement: Statement, *arguments: Any) -> None:
         super().__init__(statement.with_free(singularity.first), *arguments)

@@ -44,7 +44,7 @@ class CollocationEquations(Problem):
     formulation: Formulation
     table: CollocationTable
     values: Array
-    in_order = True
+    in_order = keeps_factors = True
     mesh: mesh.Mesh
     _placing: tuple[bytes, Array] | None = None
 

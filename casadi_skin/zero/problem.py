@@ -105,6 +105,7 @@ class Problem(ABC):
     half_bandwidth: int | None = None  # of dR/d(state values), when rows and columns are ordered to make it small
     measured_by_defect: bool = False  # whether errors along branches are those of `improvement`
     in_order: bool = False  # whether unknowns and equations come in an order of `elimination_order`
+    keeps_factors: bool = False  # whether those of one Newton step serve the next, as equations cost far less
     cosines: int = 0  # number of odd cosines by whose values at nodes the state is known; 0 in other transcriptions
     noise: float = 0.0  # error of residuals beyond rounding, as of an integrator, relative to the state
     holds_linear_modes: bool = False  # exactly, at every resolution
