@@ -166,7 +166,7 @@ class ArclengthContinuation(Continuation):
             found = turned(self.point_solver, departure.side, there)
             if found is not None:
                 return self._before(departure, found)
-        point = self.point_solver.refined(problem, correction, row, tangent=tangent)
+        point = self.point_solver.refined(problem, replace(correction, solve=solve), row, tangent=tangent)
         if point is None:
             self.end = End.RESOLUTION
             return None

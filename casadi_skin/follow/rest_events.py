@@ -23,7 +23,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.follow.point import LocalCurve
 from casadi_skin.follow.rest_samples import Leading, half_plane, rightmost
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, hermite_cubic
 from casadi_skin.follow.search import CLEAR_DISTANCE, Search, gap_between
@@ -143,9 +142,9 @@ class Places:
     @classmethod
     def of(cls, equations: SolutionSpace, before: Point, after: Point) -> Places:
         """As many as the ledger has between two points."""
-        weights = equations.point_solver.metric(before.problem, before.z)
-        row = weights * before.tangent
-        curve = LocalCurve.through(before.z, before.tangent, after.z, after.tangent, row)
+        solver = equations.point_solver
+        joined, weights = solver.joined(before, after), solver.metric(before.problem, before.z)
+        row, curve = joined.row, joined.curve
         over = LEDGER_PLACES if equations.statics.exact else OF_PROGRAMS
         many = max(abs(after.parameter - before.parameter), curve.length / LEDGER_LENGTH)
         count = int(np.clip(np.ceil(over * many), 3, MOST_PLACES_BETWEEN))

@@ -348,6 +348,14 @@ class ExactLevels(Levels):
     def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem:
         return problem
 
+    def near(
+        self, problem: Problem, z: Array, enough: float, solve: Solve | None = None,
+        tangent: Array | None = None, held: Scalar | None = Scalar.PARAMETER,
+    ) -> Measured:  # fmt: skip
+        """As `refined`, by the factors at hand where there are any."""
+        found = None if solve is None else self._by_defect(problem, z, solve, tangent, held)
+        return found or self.refined(problem, z, tangent, held)
+
 
 # A first mesh for solutions with layers -------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ LARGE_MOVE = 1e200  # beyond it a component moves at a singular place alone
 SLIGHT_DISTURBANCE = 1e-8  # of an equation's terms: a disturbance by which no regular equilibrium moves far
 BALANCING_ROUNDS, BALANCED_CHANGE = 200, 1e-3  # of a sparse matrix; the last change of the logarithm of a unit
 NOT_FINITE = "the derivatives are not finite at the equilibrium"
+FEW_COMPONENTS = 16  # of a state, of which a dense matrix of paths is made in less time than a sparse graph
 FAINT_UNIT_RATIO = 1e-3  # of the unit by which a component acts on others: the least unit of one that hardly changes
 
 
@@ -249,21 +250,31 @@ def units_of(matrix: Array, x: Array, by_parameters: Array, usual: Array, otherw
         usual: usual sizes of the components; zero where nothing is known.
         otherwise: sizes of components that act on each other, are all zero and do not move, but for rounding.
     """
-    from scipy.sparse.csgraph import connected_components
-
     B, d = balanced(matrix)
     moved = _response(B, by_parameters / d[:, None]) * d
-    blocks, block = connected_components(matrix != 0.0, connection="strong")
-    largest = np.zeros((blocks, 3))
+    block = acting_on_each_other(matrix)
+    largest = np.zeros((block.max(initial=-1) + 1, 3))
     np.maximum.at(largest, block, np.array([np.maximum(np.abs(x), usual), moved, otherwise]).T / d[:, None])
     known = (ROUNDED_COMPONENT_RATIO * largest[:, 2:] < largest) & (largest < LARGE_MOVE)
     which = np.argmax(known, axis=1)
-    factor = np.where(known.any(axis=1), largest[np.arange(blocks), which], 1.0)
+    factor = np.where(known.any(axis=1), largest[np.arange(which.size), which], 1.0)
     acting, least = d * factor[block], np.where(known[:, 2] & (which == 2), 1.0, FAINT_UNIT_RATIO)[block]
     general = np.cos(np.arange(d.size) ** 2 % 6.25)  # orthogonal to no null vector, as one is that a symmetry gives
     disturbed = SLIGHT_DISTURBANCE * _largest_of_rows(B) * acting / d * general
     moved = np.maximum(moved, _response(B, disturbed[:, None]) * d)  # far where the matrix is singular
     return np.asarray(np.maximum(np.abs(x), np.clip(moved, least * acting, acting)))
+
+
+def acting_on_each_other(matrix: Any) -> NDArray[np.integer[Any]]:
+    """Which components of a state act on each other, numbered, shape (n,): by their paths where there are a few."""
+    from scipy.sparse.csgraph import connected_components
+
+    if is_sparse(matrix) or len(matrix) > FEW_COMPONENTS:
+        return np.asarray(connected_components(matrix != 0.0, connection="strong")[1])
+    reached = (matrix != 0.0) | np.eye(len(matrix), dtype=bool)
+    for _ in range(len(matrix).bit_length()):  # paths of twice the length
+        reached = reached @ reached
+    return np.asarray(np.unique(np.argmax(reached & reached.T, axis=1), return_inverse=True)[1])
 
 
 def _largest_of_rows(matrix: Any) -> Array:

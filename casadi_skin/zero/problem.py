@@ -317,7 +317,7 @@ class Problem(ABC):
         """Relative error to expect of the solution z on `other`, no finer, once placed for z; from its `error` here."""
         return np.inf
 
-    def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array] | None:
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array | None] | None:
         """A step to a better solution in the same unknowns, and what the solution misses between these.
 
         None where this discretisation has no such step of its own; `solve` has the factors of a closed Jacobian near z.

@@ -31,7 +31,7 @@ from casadi_skin.zero.balanced import (
     is_mostly_zero,
     units_of,
 )
-from casadi_skin.zero.problem import EPSILON, Array, Buffers, Indices, Problem, Scalar
+from casadi_skin.zero.problem import EPSILON, Array, Buffers, Indices, Problem, Scalar, Solve
 from casadi_skin.zero.statement import in_order, named_values
 
 # Of the size of x: steps of second and third derivatives of a program.
@@ -359,8 +359,9 @@ class AlgebraicProblem(Undiscretised):
     ) -> None:
         self.statics, self.scale, self.free, self.walking = statics, sizes, tuple(free), walking
         self.states = statics.size
+        self._kept_at: tuple[bytes, tuple[Array, Array]] = b"", (np.empty(0), np.empty(0))
 
-    @property
+    @cached_property
     def size(self) -> int:
         return self.states + len(self.free) + self.added + 1
 
@@ -385,8 +386,18 @@ class AlgebraicProblem(Undiscretised):
         return symbol, residual, jacobian
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
-        """Residual and non-zeros of the Jacobian, each equation relative to its largest derivative."""
-        return self._scaled(z, *super().evaluate(z))
+        """Residual and non-zeros of the Jacobian, each equation relative to its largest derivative.
+
+        Not to be written to: the last ones are kept, as a point is corrected, measured and left with one matrix.
+        """
+        at = z.tobytes()
+        if at != self._kept_at[0]:
+            self._kept_at = at, self._scaled(z, *self._values(z, self.numbers))
+        return self._kept_at[1]
+
+    def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array | None]:
+        """A Newton step: equations that are not discretised have errors by what is left of them, and by rounding."""
+        return solve(np.append(self.evaluate(z)[0], 0.0)), None
 
     def _scaled(self, z: Array, residual: Array, nonzeros: Array) -> tuple[Array, Array]:
         largest = self.equation_sizes(z, nonzeros)
@@ -426,7 +437,7 @@ class AlgebraicProblem(Undiscretised):
 
         A balanced unit at z is none for a length: it vanishes where eigenvectors meet, as at a Bogdanov-Takens point.
         """
-        weights, n = np.maximum(np.abs(z), 1.0) ** -2.0, self.statics.size
+        weights, n = 1.0 / np.maximum(z * z, 1.0), self.states
         weights[:n] /= n
         weights[-1] = parameter_scale**-2.0
         return np.asarray(weights)
