@@ -53,6 +53,7 @@ FUNCTIONS = {
     "collocation_factors": "aaaaraaaa",
     "collocation_solve": "aaia",
     "collocation_equations": "aaaaa",
+    "collocation_jacobians": "aaaiaaa",
     "collocation_applied": "aaaa",
     "collocation_missed": "aaaaaa",
     "collocation_change": "aaaaaa",

@@ -54,6 +54,22 @@ static void at_stages(const equations *e, const places *p, const double *z, cons
     NAMED(at_places)(p);
 }
 
+/* Derivatives of the field by the first `count` states at the stages, dense, (K d, count, count); `rows` and `columns` are
+   those of their entries. */
+KERNEL(collocation_jacobians)(const equations *e, const double *z, const double *numbers, int64_t count,
+                              const int64_t *rows, const int64_t *columns, double *jacobians)
+{
+    const double *from = e->by_states;
+    if (e->of_field)
+        at_stages(e, e->of_field, z, numbers);
+    memset(jacobians, 0, (size_t)(e->K * e->d * count * count) * sizeof(double));
+    for (int64_t s = 0; s < e->K * e->d; s++, from += e->entries, jacobians += count * count)
+        for (int64_t i = 0; i < e->entries; i++)
+            if (rows[i] < count && columns[i] < count)
+                jacobians[rows[i] * count + columns[i]] = from[i];
+    return 0;
+}
+
 /* Residual and non-zeros of the Jacobian. The last of the R values is the end of the interval, whose weights are those of
    integrals. */
 KERNEL(collocation_equations)(const equations *e, const double *z, const double *numbers, double *residual,

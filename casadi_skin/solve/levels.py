@@ -149,6 +149,7 @@ class Levels:
         self._correctors: dict[int, Corrector] = {}
         self._last: tuple[Problem, Array, Scalar, Measured] | None = None
         self._seen: tuple[Problem, Scalar | None, Array, Measured | None] | None = None
+        self._above: tuple[Problem, Problem] | None = None  # the last problem that was asked for its finer one
 
     def problem(self, resolution: int) -> Problem:
         """The problem at a resolution."""
@@ -177,10 +178,14 @@ class Levels:
         above = [r for r in self.resolutions if r > problem.resolution]
         if not above:
             return None
-        if z is not None and problem.in_order:
+        if z is None:
+            if self._above is None or self._above[0] is not problem:
+                self._above = problem, problem.transferred(self.problem(above[0]))
+            return self._above[1]
+        if problem.in_order:
             while len(above) > 2 and problem.expected_error(z, excess, self.problem(above[0])) > MUCH_ERROR:
                 del above[0]
-        if z is not None and problem.imbalance(z) > UNEVEN_IMBALANCE:
+        if problem.imbalance(z) > UNEVEN_IMBALANCE:
             return problem.placed(z, self.problem(above[0]))
         return problem.transferred(self.problem(above[0]))
 

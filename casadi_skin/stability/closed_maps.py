@@ -62,7 +62,9 @@ class Spectrum:
     def far(self) -> int:
         """How many are so far from 1 that a step may have lost their digits, 0 where all but one are near."""
         away = np.abs(self.logs)
-        return int(np.count_nonzero(away > -np.log(SMALL_MODULUS))) if np.any(away > FAR_LOG_EIGENVALUE) else 0
+        if not away.max(initial=0.0) > FAR_LOG_EIGENVALUE:
+            return 0
+        return int(np.count_nonzero(away > -np.log(SMALL_MODULUS)))
 
     def joined(self, other: Spectrum) -> Spectrum:
         """These, then those of another one."""
@@ -282,8 +284,10 @@ def trivial_along(
     nearest to 1 stands for that of time.
     """
     right, left = vectors_along(model, states, parameters)
-    rests = not float(np.max(np.abs(right[:, 0] / units))) * duration > SLOWEST_MOTION_RATIO
-    found = trivial_of(right[:, 1:] if rests else right, left, units, tolerance)
+    rests = not float(np.abs(right[:, 0] / units).max()) * duration > SLOWEST_MOTION_RATIO
+    right = right[:, int(rests) :]
+    alone = right.shape[1] < 2 and not left.shape[1]
+    found = Trivial(right.shape[1], right, left) if alone else trivial_of(right, left, units, tolerance)
     count = max(found.count + rests, 1)
     return Trivial(count + _by_reversal(model, symmetry, count), found.right, found.left)
 
@@ -306,8 +310,8 @@ def trivial_of(right: Array, left: Array, units: Array, tolerance: float) -> Tri
 
 def units_of(states: Array) -> Array:
     """The size of each component along an orbit, no less than a part of the largest."""
-    sizes = np.max(np.abs(states), axis=0)
-    return np.asarray(np.maximum(sizes, SMALLEST_COMPONENT_RATIO * np.max(sizes, initial=0.0) or 1.0))
+    sizes = np.abs(states).max(axis=0)
+    return np.asarray(np.maximum(sizes, SMALLEST_COMPONENT_RATIO * sizes.max(initial=0.0) or 1.0))
 
 
 def _by_reversal(model: OdeModel, symmetry: SymmetryClass, known: int) -> int:
@@ -323,8 +327,7 @@ def _independent(vectors: Array, units: Array, least: float) -> Array:
 
     Between vectors that the flow carries along linear relations hold all along an orbit.
     """
-    if vectors.shape[1]:
-        vectors = vectors[:, np.any(vectors != 0.0, axis=(0, 2))]
+    vectors = vectors[:, np.any(vectors != 0.0, axis=(0, 2))]
     if vectors.shape[1] < 2:
         return vectors
     scaled = vectors * units

@@ -55,14 +55,16 @@ def judged(
     Relative errors are at least the part `least` of the largest.
     """
     near, others = found.trivial.values, found.others.values
-    sizes, errors = np.maximum(1.0, np.abs(others)), np.full(others.size, np.inf)
+    moduli, errors = np.abs(others), np.full(others.size, np.inf)
+    sizes = np.maximum(1.0, moduli)
     if better is not None:
         errors = DISTANCE_SAFETY / (1.0 - left) * _distances(found.others, better.others) + found.rounding
-        errors = np.maximum(errors, least * sizes * np.max(errors / sizes, initial=0.0))
-    deviation = float(np.prod(np.abs(near - 1.0)) ** (1.0 / near.size)) if near.size else 0.0
-    decisive = np.abs(others) >= 1.0 - errors
-    error = float(np.max((errors / sizes)[decisive | ~decisive.any()], initial=0.0))
-    largest, on_circle = float(np.max(np.abs(others), initial=0.0)), np.abs(np.abs(others) - 1.0) <= errors
+        if least:
+            errors = np.maximum(errors, least * sizes * np.max(errors / sizes, initial=0.0))
+    deviation = float(np.abs(near - 1.0).prod() ** (1.0 / near.size)) if near.size else 0.0
+    decisive = moduli >= 1.0 - errors
+    error = float((errors / sizes)[decisive | (not decisive.any())].max(initial=0.0))
+    largest, on_circle = float(moduli.max(initial=0.0)), np.abs(moduli - 1.0) <= errors
     return Floquet(
         np.concatenate([near, others]), np.concatenate([found.trivial.logs, found.others.logs]), near.size, deviation,
         errors, on_circle, np.abs(others.imag) <= errors, error, largest, np.empty(0, complex), np.empty(0),
@@ -84,7 +86,7 @@ def _distances(found: Spectrum, better: Spectrum) -> Array:
 
             rows, columns = linear_sum_assignment(apart)
         distances[rows] = apart[rows, columns] * sizes[rows, columns]
-    if not np.any(values.imag):
+    if not values.imag.any():
         return distances
     partners = np.argmin(np.abs(values[:, None].conj() - values), axis=1)
     return np.asarray(np.maximum(distances, distances[partners]))
@@ -240,8 +242,8 @@ class Closed:
     @property
     def parameters(self) -> Array:
         """Those of the model."""
-        names = self.problem.statement.model.parameter_names
-        return self._all_parameters[[names.index(name) for name in self.model.parameter_names]]
+        names, own = self.problem.statement.model.parameter_names, self.model.parameter_names
+        return self._all_parameters[[names.index(name) for name in own]]
 
     @property
     def period(self) -> float:
@@ -249,7 +251,7 @@ class Closed:
         start, end = self.problem.statement.span(self._all_parameters)
         return (end - start) / self.symmetry.value
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number n of components of the state of the model."""
         return self.model.full_size
@@ -339,7 +341,7 @@ def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Fl
 def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multipliers:
     """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
     problem, n = orbit.problem, orbit.size
-    jacobians = problem.discretisation.jacobians(orbit.z, problem.numbers)[:, :n, :n]  # at all stages, of unit length
+    jacobians = problem.discretisation.jacobians(orbit.z, problem.numbers, n)  # at all stages, of unit length
     maps, contraction = interval_maps(jacobians, problem.constants, problem.table)
     contraction = orbit.contraction(contraction)
 

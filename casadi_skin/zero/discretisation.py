@@ -122,6 +122,12 @@ class Formulation:
         return Buffers(self.condition_function, listed=True)
 
     @cached_property
+    def entries(self) -> tuple[Indices, Indices]:
+        """Rows and columns of the non-zeros of dF/dx."""
+        rows, columns = self.field_function.sparsity_out(1).get_triplet()
+        return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
+
+    @cached_property
     def patterns(self) -> tuple[Pattern, tuple[Pattern, ...]]:
         """Non-zeros of dF/dx, and of the conditions' derivatives by x at the start, x at the end and sigma."""
         found = [self.field_function.sparsity_out(1), *(self.condition_function.sparsity_out(i) for i in (1, 2, 3))]
@@ -357,11 +363,16 @@ class Discretisation:
         kernels()["collocation_applied"](self.compiled, nonzeros, np.ascontiguousarray(step), found)
         return found
 
-    def jacobians(self, z: Array, numbers: Array) -> Array:
-        """Derivatives of the field by the states at the stages, dense, shape (K d, n, n)."""
+    def jacobians(self, z: Array, numbers: Array, count: int) -> Array:
+        """Derivatives of the field by the first `count` states at the stages, dense, shape (K d, count, count)."""
+        if self._field.places is not None:
+            found = np.empty((self._K * self._d, count, count))
+            data = np.ascontiguousarray(z), numbers, count, *self.formulation.entries, found
+            kernels()["collocation_jacobians"](self.compiled, *data)
+            return found
         if z.tobytes() + numbers.tobytes() == self._at:
-            return self._dense(self._by_states)
-        return self._dense(self._by_stages(self._field(*self.stages(z, numbers))[1]))
+            return self._dense(self._by_states)[:, :count, :count]
+        return self._dense(self._by_stages(self._field(*self.stages(z, numbers))[1]))[:, :count, :count]
 
     def jacobians_at(self, *arguments: Array) -> Array:
         """The same at (s, x, scalars, constants), as many places as there are stages and one more."""
@@ -369,7 +380,7 @@ class Discretisation:
 
     def _dense(self, nonzeros: Array) -> Array:
         found = np.zeros((len(nonzeros), self._n, self._n))
-        rows, columns = self.formulation.patterns[0]
+        rows, columns = self.formulation.entries
         found[:, rows, columns] = nonzeros
         return found
 
