@@ -15,11 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadi_skin.follow.corners import Corner, Side, point_before, shifts, side_of, turned
-from casadi_skin.follow.point import PREDICTING_POINTS, PointSolver, predicting, predictor
+from casadi_skin.follow.moving import Moving
+from casadi_skin.follow.point import PREDICTING_POINTS, PointSolver, interpolant, predicting, predictor
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import End, Point, Target
 
+HELD_BELOW = 0.1  # of a step: shorter ones are taken on a mesh that is held
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
 
 
@@ -27,7 +29,8 @@ START_FRACTION = 1e-3  # of the first point walked: where the family's first poi
 class _Departure:
     """A point to step from, in the unknowns of the problem to be solved: its tangent t, the metric, the way on.
 
-    `turning` is how many times the angles of the settings a step may turn.
+    `turning` is how many times the angles of the settings a step may turn. On a mesh that is `moving` t is the unit
+    derivative there.
     """
 
     problem: Problem
@@ -38,11 +41,26 @@ class _Departure:
     curve: Callable[[float], Array]
     side: Side | None
     turning: float
+    moving: Moving | None = None
+
+    @property
+    def closing(self) -> Array:
+        """The row that closes the equations."""
+        return self.row if self.moving is None else self.moving.row
+
+    @property
+    def scale(self) -> float:
+        """The length along the branch by the step."""
+        return 1.0 if self.moving is None else self.moving.start.scale
 
     def angle(self, tangent: Array) -> float:
         """Angle in degrees between t and another tangent, in the metric at z."""
         cosine = float(self.row @ tangent) / math.sqrt(self.weights @ tangent**2)
         return math.degrees(math.acos(max(min(cosine, 1.0), -1.0)))
+
+    def on(self, step: float) -> Problem | None:
+        """The equations on the mesh a step away; None where it cannot move so far."""
+        return self.problem if self.moving is None else self.moving.on(step)
 
 
 class Continuation(ABC):
@@ -111,7 +129,7 @@ class ArclengthContinuation(Continuation):
         coarser = lighter is not current.problem and self.settings.rounds_corners
         if coarser and shifts(self.point_solver, current, departure.side, current.step):
             departure = self._departure(current, current.problem)
-        step = min(current.step, self._longest_step(current))
+        step = first = min(current.step, self._longest_step(current) / departure.scale)
         while step >= self.settings.min_step:
             try:
                 point = self._stepped(departure, step)
@@ -120,26 +138,41 @@ class ArclengthContinuation(Continuation):
             except SingularError as error:
                 self.detail = str(error)
             self.rejected += 1
-            if departure.problem is current.problem:
-                step *= 0.5
-            else:  # perhaps for the error of the coarser level
+            if departure.problem is not current.problem:  # perhaps for the error of the coarser level
                 departure = self._departure(current, current.problem)
+                continue
+            step *= 0.5
+            if departure.moving is not None and step < HELD_BELOW * first:
+                departure = self._departure(current, current.problem, held=True)
         self.end, advice = End.NO_STEP, "try another transcription or a larger tolerance"
         self.detail = f"{self.detail or self.point_solver.failure}; {advice}".removeprefix("; ")
         return None
 
-    def _departure(self, current: Point, problem: Problem) -> _Departure:
-        """The current point and the way on from it in the unknowns of `problem`."""
-        known = (current, *self.history[-2::-1])
+    def _departure(self, current: Point, problem: Problem, held: bool = False) -> _Departure:
+        """The current point and the way on from it in the unknowns of `problem`, on its mesh where that is `held`."""
+        moves = not held and len(self.history) > 1 and current.problem.moves(current.z)
+        known = (current, *(() if moves else self.history[-2::-1]))
         points = np.array([past.problem.all_prolonged(np.array([past.z, past.tangent]), problem) for past in known])
         z, t = points[0]
         weights = self.point_solver.metric(problem, z)
         if problem is not current.problem:
             t /= math.sqrt(weights @ t**2)
+        if moves:
+            moving = Moving.of(problem, z, t, weights, self.history[-2])
+            return self._departure(current, problem, held=True) if moving is None else self._moving(moving, weights)
         row = weights * t
         curve = predictor(predicting(points, row, weights), row)
         turning = self.settings.layer_angles if problem.has_layers(z) else 1.0
         return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem), turning)
+
+    def _moving(self, moving: Moving, weights: Array) -> _Departure:
+        """The way on where the mesh moves: a cubic through the last two points."""
+        start, past = moving.start, moving.past
+        seen = [start] if past is None or not past.sigma < 0.0 else [start, past]
+        places, values, slopes = (np.array(v) for v in zip(*(one[:3] for one in seen), strict=True))
+        t = start.slope / math.sqrt(weights @ start.slope**2)
+        curve, turning = interpolant(places, values, slopes), self.settings.layer_angles
+        return _Departure(moving.problem, start.z, t, weights, weights * t, curve, None, turning, moving)
 
     def _side_of(self, current: Point, problem: Problem) -> Side | None:
         """The side of a corner that the current point is on; None where corners are not sought."""
@@ -151,14 +184,19 @@ class ArclengthContinuation(Continuation):
 
     def _stepped(self, departure: _Departure, step: float) -> Point | None:
         """The point a step away; None where the guard refuses it, or, with `end` set, where no level is fine enough."""
-        problem, row = departure.problem, departure.row
+        problem, row, reach = departure.on(step), departure.closing, departure.scale * step
+        if problem is None:
+            return None
         guess = departure.curve(step)
-        correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, step)
+        correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, reach)
         if correction is None:
             return None
         solve = self.point_solver.factors(problem, correction, row)
-        tangent = self.point_solver.tangent(problem, correction.z, solve)
-        angle = departure.angle(tangent) / departure.turning
+        tangent = slope = self.point_solver.tangent(problem, correction.z, solve)
+        if departure.moving is not None:
+            slope, sign = departure.moving.slope(problem, correction.z, tangent, step)
+            tangent = np.copysign(1.0, sign) * tangent
+        angle = departure.angle(slope) / departure.turning
         if max(angle, departure.angle(correction.z - departure.z) / departure.turning) > self.settings.guard_angle:
             return None  # a prediction of high order may land on a part of the branch beyond a turn
         if departure.side is not None:
@@ -177,7 +215,7 @@ class ArclengthContinuation(Continuation):
                 if found is not None:
                     return self._before(departure, found)
             self._last_side = there
-        return replace(point, step=self._next_step(problem, guess, correction, step, angle))
+        return replace(point, step=self._next_step(problem, guess, correction, step, reach, angle))
 
     def _before(self, departure: _Departure, found: Corner) -> Point | None:
         """The point before a corner, from which it is walked round; None where the departure is as near to it."""
@@ -186,10 +224,12 @@ class ArclengthContinuation(Continuation):
         near = self.point_solver.distance(problem, start, found.before.z) <= found.length
         return None if near else point_before(self.point_solver, found)
 
-    def _next_step(self, problem: Problem, guess: Array, correction: Correction, step: float, angle: float) -> float:
+    def _next_step(
+        self, problem: Problem, guess: Array, correction: Correction, step: float, reach: float, angle: float
+    ) -> float:
         """Step that would turn by the angle aimed for, and miss by a quarter of what the guard allows."""
         weights = self.point_solver.metric(problem, correction.z)
-        missed = math.sqrt(weights @ (correction.z - guess) ** 2) / step
+        missed = math.sqrt(weights @ (correction.z - guess) ** 2) / reach
         by_angle = self.settings.aim_angle / max(angle, 1e-3)
         by_distance = (0.25 * self.settings.guard_distance / max(missed, 1e-12)) ** (1.0 / 3.0)
         factor = float(min(max(min(by_angle, by_distance), 0.4), 1.8))

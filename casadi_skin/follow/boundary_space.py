@@ -20,7 +20,7 @@ from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace, of_last_points
 from casadi_skin.follow.special_points import Located, ending, fold_between, locate_rest, special_orbit, turning
 from casadi_skin.model.amplitude import amplitude_square
-from casadi_skin.model.arguments import check_name
+from casadi_skin.model.arguments import check_name, number
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import IntegrationError
 from casadi_skin.model.jumps import STATE, TIME, JumpError
@@ -150,6 +150,21 @@ def hopf_end(space: BoundarySpace, before: Point, after: Point) -> Point | None:
     values, profile = {**orbit.problem.statement.values, PERIOD: born}, found.point.error.profile
     error = ErrorEstimate(profile, profile, parameter=found.error)
     return ending(orbit, HOPF, equilibria.problem.state(seen), values, found.value, error)
+
+
+def up_to_period(space: Any, period_max: float | None) -> Any:
+    """The space of a branch that ends at a period too, where one is given; raises ValueError and TypeError."""
+    if period_max is None:
+        return space
+    if PERIOD not in space.held_names:
+        given = "given with solutions whose period is not their own"
+        raise ValueError(f"period_max: {given}; accepted: orbits of a model that is not forced")
+    first = space.parameters(space.start)[PERIOD]
+    if not number("period_max", period_max) > first:
+        raise ValueError(
+            f"period_max: given {period_max!r}; accepted: a number > {first:.10g}, where the branch starts"
+        )
+    return replace(space, settings=replace(space.settings, Omega_end=TWO_PI / period_max))
 
 
 def at_fixed_period(space: Any) -> Any:
@@ -609,8 +624,9 @@ class BoundarySpace(ParameterSpace):
         return next((point for point in found if point is not None), fold)
 
     def _unbounded(self, before: Point, after: Point) -> Point | None:
-        """The later of two orbits where the period grows without bound there."""
-        if self.periodic is None or PERIOD not in self.statement.free:
+        """The later of two orbits where the period grows without bound there and none is asked for."""
+        walked_on = self.point_solver.settings.Omega_end is not None  # to a period that is asked for
+        if self.periodic is None or PERIOD not in self.statement.free or walked_on:
             return None
         return unbounded(self, before, after)
 

@@ -109,10 +109,7 @@ class _OrbitSearch(Search):
     def __init__(self, space: BoundarySpace, sampler: ExponentSampler) -> None:
         (before, _), (after, _) = sampler.ends
         super().__init__(space.point_solver, before, after)
-        self.space, self.sampler, self._own = space, sampler, {id(self.first): self.ends[0]}
-
-    def own(self, point: Point) -> Point:
-        return self._own.get(id(point), point)
+        self.space, self.sampler = space, sampler
 
     def outside(self, point: Point) -> tuple[int, int]:
         """The number of multipliers outside the circle at a point, and how many errors leave open."""
@@ -129,12 +126,17 @@ class _OrbitSearch(Search):
         (past, exponents), (_, others) = self.sampler.past, self.sampler.ends[0]
         if exponents.values.size != others.values.size or (exponents.pairs is None) != (others.pairs is None):
             return None
+        if self.moving is not None:
+            there = self.seen(past)
+            return there if there is not past and self.sigma(there) < 0.0 else None
         joined = self.solver.joined(past, self.last)
+        if joined.moving is not None:
+            return None
         there = replace(past, problem=self.last.problem, z=joined.z, tangent=joined.tangent, better=None)
         aligned = min(self.row @ joined.tangent, joined.row @ self.last.tangent) > ALIGNED_COSINE
         if not aligned or self.sigma(there) >= 0.0:
             return None
-        self._own[id(there)] = past
+        self._own[id(there)] = there, past
         return there
 
     def passes(self, stretch: SampledStretch) -> bool:
@@ -198,9 +200,10 @@ class _OrbitSearch(Search):
             root = stretch.root(stretch.leading + passage.quantity) / stretch.length
             for aside in ASIDE_FRACTIONS:
                 fraction = root + (aside if root < 0.5 else -aside)
-                near = self.solver.along(stretch.first.point, stretch.last.point, fraction)
+                before, after = (self.on_branch(end.point) for end in (stretch.first, stretch.last))
+                near = self.solver.along(before, after, fraction)
                 if near is None:  # beside a branch point rounding decides; the extended equations are regular there
-                    near = replace(self.last, z=stretch.curve.at(fraction * stretch.length), better=None, special="")
+                    near = self.solver.guess_along(before, after, fraction)
                 angle = self._angle_at(near, passage)
                 event = self.event(stretch, special_orbit(self.space, passage.kind, near, angle), passage)
                 if event is not None:
@@ -255,7 +258,8 @@ class _Free(_OrbitSearch):
         still = max(abs(rate(end)) for end in ends) <= STILL_RATE
         if not still or (self.space.periodic is not None and self.space.symmetry.value != 1.0):
             return False
-        solver, rows = self.solver.levels.solver(self.last.problem), [self.metric(end) * end.tangent for end in ends]
+        solver = self.solver.levels.solver(self.last.problem)
+        rows = [self.metric(end) * end.tangent if self.moving is None else self.row for end in ends]
         one, other = (
             solver.orientation(end.problem.evaluate(end.z)[1], row) for end, row in zip(ends, rows, strict=True)
         )
@@ -445,7 +449,7 @@ class Ledger:
         self._count = start
         past = self._ends[0] if self._ends and self._ends[-1][0] is first.point else None
         self._ends = [(end.point, end.floquet().exponents) for end in (first, last)]
-        before_it, self._length = self._length, self.space.point_solver.curve(first.point, last.point)[1]
+        before_it, self._length = self._length, self.space.point_solver.length(first.point, last.point)
         sampler = ExponentSampler(self.space, *self._ends, past=past, longer=self._length / before_it)
         events, gaps = events_between(self.space, sampler)
         self.unresolved += gaps

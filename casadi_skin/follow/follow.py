@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.arclength import Continuation
-from casadi_skin.follow.boundary_space import at_fixed_period
+from casadi_skin.follow.boundary_space import at_fixed_period, up_to_period
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.events import Ledger, at_requested_value
 from casadi_skin.follow.family import Family
@@ -39,6 +39,8 @@ from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, KINDS, KREIN, STABI
 from casadi_skin.zero.problem import EPSILON, Scalar
 from casadi_skin.zero.settings import End, Point, Target
 from casadi_skin.zero.stated_problem import PERIOD
+
+FREQUENCY = "frequency"  # of orbits: it is held where the period is
 
 # Solutions of the points of a branch, with their stability and the ledger ---------------------------------------------
 
@@ -380,18 +382,22 @@ class BranchIterator:
         if before is start or (beside and not self.space.stability_included):  # equilibria cost nothing to compare
             return False
         problem = after.problem
-        z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
         curve, length = solver.curve(before, after)
-        first, slope = curve.coefficients[:2]
-        row = solver.metric(problem, first) * slope
-        sigma = float(row @ (z - first)) / float(row @ slope)
-        if (
-            not CLOSED_BRANCH_DISTANCE * length < sigma <= (1.0 + CLOSED_BRANCH_DISTANCE) * length
-            or float(row @ t) <= 0.0
-        ):
+        if curve.moving is not None:
+            seen = curve.moving.seen(start, curve.moving.nearest(start))
+            sigma, aligned = (0.0, False) if seen is None else (seen.sigma + length, True)
+        else:
+            z, t = (start.problem.prolong(v, problem) for v in (start.z, start.tangent))
+            first, slope = curve.coefficients[:2]
+            row = solver.metric(problem, first) * slope
+            sigma, aligned = float(row @ (z - first)) / float(row @ slope), float(row @ t) > 0.0
+        if not (CLOSED_BRANCH_DISTANCE * length < sigma <= (1.0 + CLOSED_BRANCH_DISTANCE) * length and aligned):
             return False
         found = solver.unrefined_along(before, after, min(sigma / length, 1.0))
-        return found is not None and solver.distance(problem, z, found.z) <= CLOSED_BRANCH_DISTANCE * length
+        if found is None:
+            return False
+        z = start.problem.prolong(start.z, found.problem)
+        return bool(solver.distance(found.problem, z, found.z) <= CLOSED_BRANCH_DISTANCE * length)
 
     # Requested values -------------------------------------------------------------------------------------------------
 
@@ -503,6 +509,7 @@ def follow(
     events: bool = True,
     monitors: Mapping[str, Any] | None = None,
     fixed: str | None = None,
+    period_max: float | None = None,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
     """The branch through a solution in the direction of `to`, by pseudo-arclength continuation (Keller 1977).
@@ -526,7 +533,11 @@ def follow(
             those of an equilibrium, of an orbit at phase zero (see `section` of `find_orbit`), of another solution at
             the start of its interval. A value that is touched without a change of sign is no special point; a change of
             sign on a stretch where rounding is as large as the quantity is `unresolved`.
-        fixed: "period", of orbits that `select` picks from a family: the period keeps its value in place of that.
+        fixed: "period" or "frequency", of orbits that `select` picks from a family: these keep their values in place of
+            that.
+        period_max: of orbits with a period of their own: the branch ends at this period too. Where it comes to a
+            homoclinic or heteroclinic orbit it goes on beside that up to this period; left out, it ends where the
+            parameter is that of the limit within the tolerance.
         progress: called with each solution.
 
     Returns:
@@ -540,14 +551,20 @@ def follow(
     seconds = duration("time_limit", time_limit)
     options = {"at": at, "max_points": max_points, "max_step": max_step, "back_to": back_to}
     space = following_space(solution, parameter, to, **options)
-    if fixed is not None:
-        check_name("fixed", fixed, [PERIOD])
-        space = at_fixed_period(space)
+    space = up_to_period(held_space(space, fixed), period_max)
     if stability and not space.closes:
         accepted = "for orbits, and for conditions x(end) = S x(start)"
         raise ValueError(f"stability: given for solutions that are no orbits; accepted: {accepted}")
     space = monitored_space(space, monitors)
     return BranchRun(space, stability, events, until=until, time_limit=seconds).to_end(progress)
+
+
+def held_space(space: Any, fixed: str | None) -> Any:
+    """The space of a branch along which what is `fixed` keeps its value; raises ValueError for others."""
+    if fixed is None:
+        return space
+    check_name("fixed", fixed, [PERIOD, FREQUENCY])
+    return at_fixed_period(space)
 
 
 def monitored_space(space: Any, given: Mapping[str, Any] | None) -> Any:

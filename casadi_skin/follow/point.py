@@ -17,6 +17,7 @@ from typing import cast
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyroots, polyval
 
+from casadi_skin.follow.moving import Moving
 from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Levels, Measured, at_parameter, step_error
 from casadi_skin.solve.newton import Correction, Status
@@ -32,10 +33,29 @@ ALIGNED_COSINE = 0.7  # cosine of the turn since a point, at least: three steps 
 
 @dataclass(frozen=True)
 class LocalCurve:
-    """z(sigma) = sum_k coefficients[k] sigma^k for 0 <= sigma <= length, of shape (orders + 1, unknowns)."""
+    """z(sigma) = sum_k coefficients[k] sigma^k for 0 <= sigma <= length, of shape (orders + 1, unknowns).
+
+    Where the mesh is `moving`, the end is its start, and unknowns are those on the mesh at sigma.
+    """
 
     coefficients: Array
     length: float
+    moving: Moving | None = None
+
+    def on(self, problem: Problem, sigma: float) -> Problem:
+        """The equations at a place: `problem` on its mesh, or as far as that moves."""
+        return problem if self.moving is None else (self.moving.on(sigma - self.length) or problem)
+
+    @property
+    def scale(self) -> float:
+        """The length along the branch by sigma, about."""
+        return 1.0 if self.moving is None else self.moving.start.scale
+
+    def along(self, problem: Problem, z: Array, tangent: Array, sigma: float) -> Array:
+        """The tangent at a place in the direction of the curve."""
+        if self.moving is None:
+            return tangent
+        return np.asarray(np.copysign(1.0, self.moving.slope(problem, z, tangent, sigma - self.length)[1]) * tangent)
 
     @classmethod
     def line(cls, z0: Array, t0: Array) -> LocalCurve:
@@ -219,17 +239,34 @@ def newton_steps(problem: Problem, z: Array, defects: Array, rows: Array) -> Ste
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """The start of a stretch in the unknowns of its end: z, tangent and the row, the metric times this, of sigma."""
+    """The start of a stretch in the unknowns of its end: z, tangent and the row, the metric times this, of sigma.
+
+    Where the mesh is `moving` it is that from the end back, and both tangents are the derivatives on it.
+    """
 
     z: Array
     tangent: Array
     row: Array
     end: Point
+    moving: Moving | None = None
+
+    @property
+    def problem(self) -> Problem:
+        """The equations that z solves but for the change of meshes."""
+        past = None if self.moving is None else self.moving.past
+        problem: Problem = self.end.problem if past is None else past.problem
+        return problem
+
+    @property
+    def end_tangent(self) -> Array:
+        """The tangent at the end."""
+        return self.end.tangent if self.moving is None else self.moving.start.tangent
 
     @cached_property
     def curve(self) -> LocalCurve:
         """The local cubic between both."""
-        return LocalCurve.through(self.z, self.tangent, self.end.z, self.end.tangent, self.row)
+        curve = LocalCurve.through(self.z, self.tangent, self.end.z, self.end_tangent, self.row)
+        return curve if self.moving is None else replace(curve, moving=self.moving)
 
 
 class PointSolver:
@@ -536,22 +573,58 @@ class PointSolver:
         for first, last, found in self._joined:
             if first is current and last is following:
                 return found
+        joined = self._moving(current, following) or self._held(current, following)
+        self._joined.append((current, following, joined))
+        return joined
+
+    def _held(self, current: Point, following: Point) -> Joined:
+        """The same on the mesh of the second."""
         problem = following.problem
         z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
-        found = Joined(z, t, self.metric(problem, z) * t, following)
-        self._joined.append((current, following, found))
-        return found
+        return Joined(z, t, self.metric(problem, z) * t, following)
+
+    def _moving(self, current: Point, following: Point) -> Joined | None:
+        """The same on a mesh that moves with layers; None where there are none."""
+        (problem, z), ends = (following.problem, following.z), (current, following)
+        if not (any(one.problem.moves(one.z) for one in ends) and all(np.any(one.tangent) for one in ends)):
+            return None
+        weights = self.metric(problem, z)
+        unit = following.tangent / np.sqrt(float(weights @ following.tangent**2))
+        moving = Moving.of(problem, z, unit, weights, current)
+        past = None if moving is None else moving.past
+        if moving is None or past is None or not past.sigma < 0.0:
+            return None
+        return Joined(past.z, past.tangent, moving.row, following, moving)
 
     def curve(self, current: Point, following: Point) -> tuple[LocalCurve, float]:
         """The local cubic from one point to the next, in the unknowns of the second, and its length in sigma."""
         curve = self.joined(current, following).curve
         return curve, curve.length
 
+    def length(self, current: Point, following: Point) -> float:
+        """The length of the branch between two points, about."""
+        curve, length = self.curve(current, following)
+        return length * curve.scale
+
+    def guess_along(self, current: Point, following: Point, fraction: float) -> Point:
+        """The point at a fraction of the way between two points of the branch, not corrected."""
+        curve, length = self.curve(current, following)
+        problem = curve.on(following.problem, fraction * length)
+        return replace(following, problem=problem, z=curve.at(fraction * length), better=None, special="")
+
     def along(self, current: Point, following: Point, fraction: float) -> Point | None:
         """A corrected point at a fraction of the way between two points of the branch, or None."""
-        correction, row = self.on_curve(following.problem, self.curve(current, following)[0], fraction)
+        curve, length = self.curve(current, following)
+        problem = curve.on(following.problem, fraction * length)
+        correction, row = self.on_curve(problem, curve, fraction)
+        if correction is None:
+            return None
         try:
-            point = None if correction is None else self.refined(following.problem, correction, row)
+            tangent = None
+            if curve.moving is not None:
+                tangent = self.tangent(problem, correction.z, self.factors(problem, correction, row))
+                tangent = curve.along(problem, correction.z, tangent, fraction * length)
+            point = self.refined(problem, correction, row, tangent=tangent)
         except SingularError as error:
             self.failure = str(error)
             return None
@@ -559,8 +632,9 @@ class PointSolver:
 
     def unrefined_along(self, current: Point, following: Point, fraction: float) -> Point | None:
         """As `along`, on the level of the second point whatever its error, which is not estimated."""
-        problem = following.problem
-        correction, row = self.on_curve(problem, self.curve(current, following)[0], fraction)
+        curve, length = self.curve(current, following)
+        problem = curve.on(following.problem, fraction * length)
+        correction, row = self.on_curve(problem, curve, fraction)
         if correction is None:
             return None
         try:
@@ -568,7 +642,10 @@ class PointSolver:
         except SingularError as error:
             self.failure = str(error)
             return None
-        return replace(following, z=correction.z, tangent=tangent, better=None, special="", walked=False)
+        tangent = curve.along(problem, correction.z, tangent, fraction * length)
+        return replace(
+            following, problem=problem, z=correction.z, tangent=tangent, better=None, special="", walked=False
+        )  # fmt: skip
 
     def coarse_along(self, current: Point, following: Point, fraction: float) -> Point | None:
         """As `unrefined_along`, with its error: crossing branches amplify rounding."""
@@ -586,14 +663,14 @@ class PointSolver:
         """The correction of the point at a fraction of a curve, or None, and the row that closes the equations."""
         sigma = fraction * curve.length
         guess = curve.at(sigma)
-        row = self.metric(problem, guess) * curve.slope(sigma)
-        return self.correct(problem, guess, row, float(row @ guess), curve.length), row
+        row = self.metric(problem, guess) * curve.slope(sigma) if curve.moving is None else curve.moving.row
+        return self.correct(problem, guess, row, float(row @ guess), curve.length * curve.scale), row
 
     def _exactly(
         self, problem: Problem, curve: LocalCurve, sigma: float, target: Target, length: float
     ) -> Point | None:
         """The point at a target near curve(sigma); None where none is found there."""
-        guess = curve.at(sigma)
+        guess, problem, length = curve.at(sigma), curve.on(problem, sigma), length * curve.scale
         index, value = target.unknown(problem)
         direction = float(np.sign(curve.slope(sigma)[index]))
         row = problem.row_of(target.held) * direction

@@ -65,15 +65,18 @@ class BranchStretch:
     Attributes:
         solver: of points of the branch.
         ends: both ends.
-        first, last: these in the unknowns of the second.
+        first, last: these in the unknowns of the second, with the derivatives there where the mesh is `moving`.
         row, length: sigma = row . (z - first.z) is the place along the stretch, from 0 to its length.
     """
 
     def __init__(self, solver: PointSolver, before: Point, after: Point) -> None:
         self.solver, self.ends, joined = solver, (before, after), solver.joined(before, after)
-        self.first = replace(before, problem=after.problem, z=joined.z, tangent=joined.tangent, better=None)
-        self.last, self.row = after, joined.row
+        self.first = replace(before, problem=joined.problem, z=joined.z, tangent=joined.tangent, better=None)
+        self.last, self.row, self.moving = after, joined.row, joined.moving
+        if self.moving is not None:
+            self.last = replace(after, tangent=joined.end_tangent)
         self.length = float(self.row @ (after.z - joined.z))
+        self._own = {id(self.first): (self.first, before), id(self.last): (self.last, after)}
 
     def metric(self, point: Point) -> Array:
         """Weights of the unknowns of a point."""
@@ -81,7 +84,32 @@ class BranchStretch:
 
     def sigma(self, point: Point) -> float:
         """The place of a point along the stretch."""
+        if self.moving is not None and id(point) not in self._own:
+            point = self.seen(point)
+        if self.moving is not None:
+            return float(self.row @ (point.z - self.first.z))
         return float(self.row @ (point.problem.prolong(point.z, self.last.problem) - self.first.z))
+
+    def own(self, point: Point) -> Point:
+        """The point at which quantities are computed: the one on its own mesh."""
+        return self._own.get(id(point), (point, point))[1]
+
+    def on_branch(self, point: Point) -> Point:
+        """The same where the mesh moves: points beside one on a mesh that is held are found from it as it is."""
+        return point if self.moving is None else self.own(point)
+
+    def seen(self, point: Point) -> Point:
+        """A point of the branch in the unknowns of the stretch where the mesh moves, with the derivative there."""
+        if self.moving is None:
+            return point
+        seen, problem = self.moving.seen(point, self.moving.nearest(point)), self.last.problem
+        if seen is None:
+            z, tangent = (point.problem.prolong(v, problem) for v in (point.z, point.tangent))
+        else:
+            problem, z, tangent = seen.problem, seen.z, seen.tangent
+        there = replace(point, problem=problem, z=z, tangent=tangent)
+        self._own[id(there)] = there, point
+        return there
 
 
 class Search(BranchStretch, ABC):
@@ -102,13 +130,10 @@ class Search(BranchStretch, ABC):
         self.real, self.parts, self.gaps = real, 0, list[Unresolved]()
         self._samples = dict[int, tuple[Point, Sample]]()
 
-    def own(self, point: Point) -> Point:
-        """The point at which quantities are computed: the first end on its own mesh."""
-        return self.ends[0] if point is self.first else point
-
     def along(self, before: Point, after: Point, fraction: float) -> Point | None:
         """The point at a fraction of the way between two points; None where it is not found."""
-        return self.solver.unrefined_along(before, after, fraction)
+        point = self.solver.unrefined_along(self.on_branch(before), self.on_branch(after), fraction)
+        return None if point is None else self.seen(point)
 
     def sample(self, point: Point) -> Sample:
         """The sample at a point, computed once."""
@@ -183,7 +208,7 @@ class Search(BranchStretch, ABC):
 
     def root_of(self, stretch: SampledStretch, test: Callable[[Point], float], noise: float, kind: str) -> Point | None:
         """The point of a stretch at which a test vanishes; at a branch point, where none is alone, the nearest one."""
-        before, after = stretch.first.point, stretch.last.point
+        before, after = (self.on_branch(end.point) for end in (stretch.first, stretch.last))
 
         def along(*way: Any) -> Point | None:
             return self.solver.along(*way) or self.solver.coarse_along(*way)

@@ -57,6 +57,8 @@ BESIDE_STILL = 0.05  # of a stretch, from a start that a branch leaves upright: 
 # Of the least rate at the samples: how far the mean rate may be off. Of 40 random dips with two folds 19 are found
 # without this, 27 with 0.03, 30 with 0.01, 31 with 0.003 and with 0; nine are found with none of these.
 HIDDEN_TURN_RATIO = 0.003
+GROWTH_ORDERS = 1.5  # change of the logarithm of a rate on a stretch from which it is looked at in place of the rate
+GROWTH_RATIO = 0.2  # of that change: how far it may be off a line at a sample
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -107,13 +109,23 @@ class _Turns(Search):
         return super().passes(ends) and not self._hides(ends)
 
     def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[tuple[Point, Point]] | None:
-        ends = self.own(stretch.first.point), stretch.last.point
+        ends = self.own(stretch.first.point), self.own(stretch.last.point)
         one, other = map(rate, ends)
         if max(abs(one), abs(other)) <= STILL_RATE:
             return []
-        if not (last or (np.all(stretch.isolates_roots) and not self._hides(stretch))):
+        if not (last or self._grows(stretch) or (np.all(stretch.isolates_roots) and not self._hides(stretch))):
             return None
         return [ends] if one * other < 0.0 else []
+
+    def _grows(self, stretch: SampledStretch) -> bool:
+        """Whether the rate grows like an exponential, as along canards, by its value at the sample."""
+        g = stretch.quantities[0][:, 0]
+        if self.moving is None or len(g) < 3 or not np.all(g * g[0] > 0.0):
+            return False
+        logarithms = np.log(np.abs(g))
+        growth, share = logarithms[-1] - logarithms[0], stretch.sigma[1] / stretch.length
+        off = logarithms[1] - logarithms[0] - share * growth
+        return bool(abs(growth) > GROWTH_ORDERS and abs(off) <= GROWTH_RATIO * abs(growth))
 
     def _hides(self, stretch: SampledStretch) -> bool:
         """Whether the parameter itself is off by as much as turns between the samples would make it.
@@ -487,7 +499,10 @@ class StretchPoints(BranchStretch):
         curve, _ = solver.curve(*self.ends)
         index, value = target.unknown(problem)
         for sigma, _ in curve.crossings(index, [value])[:1]:
-            guess = replace(self.last, z=curve.at(sigma), tangent=curve.slope(sigma), better=None, special="")
+            there = curve.on(problem, sigma)
+            guess = replace(
+                self.last, problem=there, z=curve.at(sigma), tangent=curve.slope(sigma), better=None, special=""
+            )  # fmt: skip
             point = self.space.singular_near(guess)
             if point is not None and target_of(self.space, point) == target:
                 yield snapped(point, target, target in solver.settings.at)
@@ -498,7 +513,7 @@ class StretchPoints(BranchStretch):
             return []
         solver, found = self.solver, list[Point]()
         wanted = [target for target in solver.settings.at if target.held is Scalar.PARAMETER]
-        ends = (self.ends[0], *special, self.last)
+        ends = (self.ends[0], *special, self.ends[1])
         for one, other in pairwise(ends):
             low, high = sorted((one.parameter, other.parameter))
             start, end = self.sigma(one), self.sigma(other)

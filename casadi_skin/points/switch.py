@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from casadi_skin.follow.boundary_space import up_to_period
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.branch_points import other_direction
 from casadi_skin.follow.follow import BranchRun, following_space, monitored_space
@@ -51,6 +52,7 @@ def switch(
     stability: bool = False,
     events: bool = True,
     monitors: Mapping[str, Any] | None = None,
+    period_max: float | None = None,
     tolerance: float = DEFAULT_TOLERANCE,
     progress: Callable[[Any], None] | None = None,
 ) -> Branch:
@@ -68,7 +70,7 @@ def switch(
         to: where the branch ends.
         side: 1 or -1: which half of a branch whose halves leave towards the same parameters; that along which the
             component that changes most grows is 1.
-        at, max_points, max_step, time_limit, until, events, monitors, progress: as in `follow`.
+        at, max_points, max_step, time_limit, until, events, monitors, period_max, progress: as in `follow`.
         back_to: as in `follow`; left out, cycles and orbits end as far to the other side as `to` is to this side.
         stability: whether multipliers are computed for each cycle.
         tolerance: of cycles, as in `find_orbit`.
@@ -86,7 +88,7 @@ def switch(
         point, parameter, to, side=side, at=at, max_points=max_points, max_step=max_step, tolerance=tolerance,
         back_to=back_to,
     )  # fmt: skip
-    space = monitored_space(space, monitors)
+    space = monitored_space(up_to_period(space, period_max), monitors)
     return BranchRun(space, stability, events, until=until, time_limit=seconds).to_end(progress)
 
 

@@ -220,6 +220,8 @@ def _of_continuation(request: Request) -> Rules:
         yield "continuation curve", beyond and f"to = {to!r} for gamma", "numbers between -1 and 1"
     if family:
         return
+    forced = table.period_max is not None and scene.orbit is not None and request.ode.forced
+    yield "continuation period_max", forced and f"{table.period_max!r} with a forced model", "one that is not forced"
     state_of(table.monitors or {}, request.equations.state_names, "[continuation] monitors")
     beyond = limits and table.parameter == "gamma" and abs(table.to) > 1
     yield "continuation to", beyond and f"{table.to!r} for gamma", "numbers from -1 to 1"

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import msgspec
 
+from casadi_skin.follow.boundary_space import up_to_period
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import BranchIterator, BranchRun, following_space, monitored_space
+from casadi_skin.follow.follow import BranchIterator, BranchRun, following_space, held_space, monitored_space
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.model.interrupts import interrupts_deferred
@@ -139,6 +140,7 @@ class Branches:
                 first, table.parameter, table.to, at=table.at, max_points=table.max_points, max_step=table.max_step,
                 back_to=table.back_to,
             )  # fmt: skip
+            space = up_to_period(held_space(space, table.fixed), table.period_max)
             model, values = first.space.model, table.monitors or {}
             states = {name: model.full_state[model.state_names.index(name)] for name in values}
             monitors = {f"{name} = {v:g}": states[name] - v for name, v in values.items()}

@@ -123,6 +123,7 @@ KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturb
 STARTS = ("mode", *KICKS)  # of which a motion from rest has one
 MAPPED_TASKS = ("family", "equilibrium", "orbit", "solution", "search")  # the tasks of cells of maps
 MISSING = "missing"
+WITH_SELECT = "beside [orbit] with select, which picks orbits of a family"
 BESIDE_SOLUTION = "beside [equilibrium], [orbit] or [solution]"
 
 # (place, fault, accepted), or a whole message. A fault is false, true for the value of the key, the words on what is
@@ -273,11 +274,15 @@ def _of_branches(s: Seen) -> Rules:
         yield "continuation parameter", table.parameter != AMPLITUDE, '"S" beside [family]'
         alone = not table.switch and not curve and "beside [family] without switch or curve"
         yield "continuation", alone, "with one of them, or both"
-        for name in ("at", "back_to", "depth", "monitors"):
+        for name in ("at", "back_to", "fixed", "period_max", "depth", "monitors"):
             yield f"continuation {name}", "beside [family]", BESIDE_SOLUTION
         unknown_changes = not s.stability.events and "beside [family] without [stability] events"
         yield "continuation", unknown_changes, "with [stability], events = true"
         yield "continuation to", not table.to > 0.0, "a number > 0, which is S, beside [family]"
+    picks = s.orbit and s.orbit.select
+    yield "continuation fixed", table.fixed and not s.family and not picks and toml_repr(table.fixed), WITH_SELECT
+    other = "beside [equilibrium]" if s.equilibrium else "beside [solution]" if s.solution else ""
+    yield "continuation period_max", table.period_max and other, "beside [orbit]"
     if not s.equilibrium and not s.orbit:
         beside = f'"hopf" beside [{"family" if s.family else "solution"}]'
         yield "continuation switch", "hopf" in table.switch and beside, '"branch point" and "period doubling"'

@@ -56,6 +56,7 @@ Boundary = Literal["fixed", "free", "periodic"]
 Step = Annotated[int, Meta(ge=-100_000, le=100_000)]
 Preset = Literal["draft", "standard", "reference"]
 Leaving = Literal["hopf", "branch point", "period doubling"]
+Fixed = Literal["period", "frequency"]
 CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", "orbit", "ipopt"]
 PRESETS: tuple[str, ...] = get_args(Preset)
 LEAVING: tuple[str, ...] = get_args(Leaving)  # the same as in points.diagram, which loads numerics
@@ -354,6 +355,11 @@ class ContinuationTable(Table, frozen=True):
             start (left out: it ends at the value of its start)
         max_points: Points after which the branch ends wherever it is
         max_step: Longest step, 1 being a change of the states by their own size; accepted: a number > 0 and <= 10
+        fixed: What orbits that [orbit] select picks keep in place of its value; accepted: "period" or "frequency",
+            which are the same; beside [orbit] with select
+        period_max: Period at which a branch of orbits ends that has not come to `to`; accepted: {}, above that of its
+            start; beside [orbit] with a model that is not forced (left out: orbits that come to a homoclinic or
+            heteroclinic orbit end where the parameter is that of the limit within the tolerance)
         monitors: Values of states, of orbits at phase zero, at which special points are located, where a state passes
             one and does not only touch it; accepted: a table with one number or more by the names of states; beside
             [equilibrium], [orbit] or [solution]
@@ -373,6 +379,8 @@ class ContinuationTable(Table, frozen=True):
     back_to: Finite | None = None
     max_points: Count = 2000
     max_step: Annotated[float, Meta(gt=0, le=10)] = 0.2
+    fixed: Fixed | None = None
+    period_max: Positive | None = None
     monitors: Numbers | None = None
     switch: tuple[Leaving, ...] = ()
     depth: Annotated[int, Meta(ge=0)] | None = None

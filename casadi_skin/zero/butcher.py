@@ -61,6 +61,11 @@ class CollocationTable:
         return np.append(0.0, self.ends)[: self.degree + 1]
 
     @cached_property
+    def slopes(self) -> Array:
+        """Weights of the values at the support in the derivative at the start and at the ends, (ends + 1, d + 1)."""
+        return _polynomials(self.support, np.append(0.0, self.ends), derivative=1)
+
+    @cached_property
     def matrix(self) -> Array:
         """Increments from the start to the stages, shape (d, d)."""
         return np.vstack([np.zeros(self.degree), self.extended])[list(self.stages)]

@@ -299,6 +299,10 @@ class Problem(ABC):
         """Whether the solution has parts in which it goes far faster than elsewhere."""
         return False
 
+    def moves(self, z: Array) -> bool:
+        """Whether the mesh may move with the layers of a solution along a branch, and it has some."""
+        return False
+
     # Adaptation: where the unknowns of a transcription should lie ------------------------------------
 
     def transferred(self, other: Other) -> Other:

@@ -65,9 +65,10 @@ def test_tails_do_not_govern_the_steps(seed: int | None) -> None:
     assert 0.1 * found[SITES // 2] < found[SITES // 2 + 1] < 0.9 * found[SITES // 2]
 
 
-def test_breathers_are_followed_at_their_period() -> None:
+@pytest.mark.parametrize("fixed", ["period", "frequency"])
+def test_breathers_are_followed_at_their_period(fixed: str) -> None:
     """The value of the middle site at C = 0.1 from a harmonic balance of high order."""
-    branch = at_the_limit(np.ones(SITES)).follow("C", 0.15, at=[0.1], fixed="period")
+    branch = at_the_limit(np.ones(SITES)).follow("C", 0.15, at=[0.1], fixed=fixed)
     assert branch.end is End.REACHED
     assert len(branch) <= 18
     np.testing.assert_allclose(branch["period"], 2.0 * np.pi / FREQUENCY, rtol=1e-13)
@@ -80,5 +81,5 @@ def test_a_period_that_is_the_orbits_own_is_not_held() -> None:
     cycle = find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
     with pytest.raises(ValueError, match="fixed: given with a solution whose period is its own; accepted: an orbit"):
         cycle.follow("mu", 2.0, fixed="period")
-    with pytest.raises(ValueError, match="fixed: given 'energy'; accepted: period"):
+    with pytest.raises(ValueError, match="fixed: given 'energy'; accepted: period, frequency"):
         cycle.follow("mu", 2.0, fixed="energy")

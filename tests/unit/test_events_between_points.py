@@ -14,6 +14,7 @@ from cycles_in_closed_form import Block, Truth
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.events import Event, _Free, events_between
+from casadi_skin.follow.point import Joined
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
 from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, ExponentSampler, beside_on_tangent
 from casadi_skin.stability.result import FULL_TURN, Exponents
@@ -55,8 +56,8 @@ class Line:
     def metric(self, *_: Any) -> Any:
         return np.ones(1)
 
-    def joined(self, first: Point, *_: Any) -> Any:
-        return SimpleNamespace(z=first.z, tangent=first.tangent, row=np.ones(1))
+    def joined(self, first: Point, last: Point) -> Joined:
+        return Joined(first.z, first.tangent, np.ones(1), last)
 
     def unrefined_along(self, before: Point, after: Point, fraction: float) -> Point:
         self.corrected += 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -37,7 +39,7 @@ def test_relaxation_oscillations_of_van_der_pol_are_followed_to_stiffness_one_mi
     circle = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
     branch = circle.follow("mu", 1000.0)
     assert branch.end is End.REACHED
-    assert len(branch) <= 550
+    assert len(branch) <= 100
     expected = (3.0 - 2.0 * np.log(2.0)) * 1000.0 + 3.0 * 2.338107 * 1000.0 ** (-1.0 / 3.0)
     np.testing.assert_allclose(branch.solutions[-1].period, expected, rtol=1e-5)
 
@@ -95,12 +97,12 @@ def test_a_fold_at_which_the_rate_of_the_parameter_is_rounding_is_no_branch_poin
 
 @pytest.mark.slow
 def test_a_canard_is_passed_and_the_relaxation_oscillation_followed() -> None:
-    """FitzHugh and Nagumo's equations at eps = 0.01: by the angle between tangents 649 points."""
+    """FitzHugh and Nagumo's equations at eps = 0.01: 649 points by the angle of tangents, 310 on meshes at rest."""
     x, y, a = symbols("x y a")
     model = OdeModel("canard", ca.vertcat(x, y), ca.vertcat((y - x**3 / 3 + x) / 0.01, a - x), a)
     branch = from_hopf(find_equilibrium(model, [1.1, -0.6], parameters={"a": 1.1}).follow("a", 0.9), 0, "a", 0.5)
     assert branch.end is End.REACHED
-    assert len(branch) <= 320
+    assert len(branch) <= 80
     last = branch.solutions[-1]
 
     def up(t: float, state: np.ndarray) -> float:
@@ -129,3 +131,61 @@ def test_orbits_that_pass_a_saddle_focus_again_come_to_its_homoclinic_orbit() ->
     folds = np.array([point.parameters["E0"] for point in branch.special_points if point.kind == "fold"])
     first, second = np.diff(folds[-3:])
     assert abs(folds[-1] + second**2 / (first - second) - limit) <= error
+
+
+@pytest.mark.slow
+def test_orbits_beside_a_homoclinic_orbit_are_walked_to_a_period_that_is_asked_for() -> None:
+    """Shilnikov's folds go on geometrically, by exp(-pi rho / omega) of the saddle-focus at the end of the branch."""
+    E, x, u, E0 = symbols("E x u E0")
+    rate = 1.5 * ca.log(1 + ca.exp((3.07 * u * x * E + E0) / 1.5))
+    rates = ca.vertcat((rate - E) / 0.013, (1 - x) / 0.2 - u * x * E, (0.3 - u) / 1.5 + 0.3 * (1 - u) * E)
+    model = OdeModel("synapses", ca.vertcat(E, x, u), rates, E0)
+    rest = find_equilibrium(model, [0.238616, 0.982747, 0.367876], parameters={"E0": -2.0}).follow("E0", -0.9)
+    branch = from_hopf(rest, -1, "E0", -5.0, period_max=30.0)
+    assert branch.end is End.REACHED
+    assert branch.solutions[-1].period == 30.0
+    assert branch.solutions[-1].error < 1e-7
+    folds = np.array([point.parameters["E0"] for point in branch.special_points])
+    ratios = np.diff(folds[-5:])[1:] / np.diff(folds[-5:])[:-1]
+    saddle = find_equilibrium(model, branch.solutions[-1].evaluate(0.0), parameters={"E0": folds[-1]})
+    focus = saddle.eigenvalues[np.argmax(np.abs(saddle.eigenvalues.imag))]
+    np.testing.assert_allclose(ratios, -np.exp(-np.pi * abs(focus.real / focus.imag)), rtol=0.02)
+
+
+def autocatalator() -> OdeModel:
+    """Petrov, Scott and Showalter (1992)."""
+    a, b, c, mu = symbols("a b c mu")
+    rates = ca.vertcat(mu * (65 + c) - a * b**2 - a, (a * b**2 + a - b) / 5e-3, (b - c) / 2e-2)
+    return OdeModel("autocatalator", ca.vertcat(a, b, c), rates, mu)
+
+
+@pytest.mark.slow
+def test_special_orbits_are_located_between_orbits_whose_layers_are_elsewhere() -> None:
+    """The doublings are those that meshes at rest have, with 249 points."""
+    rest = find_equilibrium(autocatalator(), [0.1] * 3, parameters={"mu": 1e-3}).follow("mu", 0.3)
+    branch = from_hopf(rest, 1, "mu", 0.0374, at=[0.1, 0.05], stability=True)
+    assert branch.end is End.REACHED
+    assert len(branch) <= 85
+    assert not branch.missed
+    doublings = [(point.kind, round(point.parameters["mu"], 9)) for point in branch.special_points]
+    assert doublings == [("period doubling", 0.156453145), ("period doubling", 0.142956576)]
+    for value in (0.1, 0.05):
+        near = [solution for solution in branch.solutions if solution.value("mu") == value]
+        assert len(near) == 1
+
+
+def test_points_between_two_are_the_same_on_a_mesh_that_moves() -> None:
+    """At mu = 8 of van der Pol: from orbits far apart, and from a branch that stops there."""
+    circle = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+    branch = circle.follow("mu", 20.0)
+    exact = circle.follow("mu", 8.0).solutions[-1]
+    assert branch.at(8.0).period == pytest.approx(exact.period, rel=1e-9)
+    solver, points = branch.space.point_solver, [solution.point for solution in branch.solutions]
+    before, after = next((one, two) for one, two in itertools.pairwise(points) if solver.joined(one, two).moving)
+    there = solver.along(before, after, 0.4)
+    moving = solver.joined(before, after).moving
+    assert there is not None
+    seen = moving.seen(there, 0.0)
+    place = 1.0 - seen.sigma / moving.past.sigma
+    assert place == pytest.approx(0.4, abs=0.02)
+    assert seen.problem.imbalance(seen.z) < 2.0 * moving.problem.imbalance(moving.start.z)
