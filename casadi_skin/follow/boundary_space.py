@@ -17,7 +17,15 @@ from casadi_skin.follow.point import ROUND_OFF
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, MonitorSearch, beside_on_tangent
 from casadi_skin.follow.solution import Orbit, Solution
-from casadi_skin.follow.space import ORBITS, SOLUTIONS, BoundaryError, FamilyError, ParameterSpace, of_last_points
+from casadi_skin.follow.space import (
+    ORBITS,
+    SOLUTIONS,
+    BoundaryError,
+    FamilyError,
+    NotRefinedError,
+    ParameterSpace,
+    of_last_points,
+)
 from casadi_skin.follow.special_points import Located, ending, fold_between, locate_rest, special_orbit, turning
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import check_name, number
@@ -192,6 +200,7 @@ PLACES = np.linspace(0.0, 1.0, 17)[:-1]  # at which an orbit is linearised to se
 OFF_EDGE = 1e-10  # of the interval: distance of a jump in time from an edge of the mesh that counts
 PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
 MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
+UNIT_MULTIPLIER_REACH = 0.1  # distance from 1 of multipliers that are 1 twice: errors of the maps enter by their root
 MOST_IPOPT_ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
 OFFSET_FROM_BRANCH_POINT = 1e-3  # of the way from a branch point: where the search for other special points starts
 
@@ -306,11 +315,9 @@ class BoundarySpace(ParameterSpace):
         try:
             point = self.point_solver.refined(problem, correction, problem.parameter_row(), Scalar.PARAMETER)
         except SingularError as error:
-            family = in_family(problem, correction.z)
-            if family:
-                raise FamilyError(f"{name}: {family}") from error
+            self._check_alone(Point(problem, correction.z, np.zeros(0), ErrorEstimate(0.0, 0.0), 0.0, 0), refined=False)
             reason = rank_deficiency(problem, correction.z) or str(error)
-            raise BoundaryError(f"{name}: the solution cannot be refined: {reason}") from error
+            raise NotRefinedError(f"{name}: the solution cannot be refined: {reason}") from error
         if point is None:
             top = self.levels.resolutions[-2]
             raise BoundaryError(f"{name}: more than {top} intervals are needed for the tolerance; try a larger one")
@@ -319,15 +326,28 @@ class BoundarySpace(ParameterSpace):
             raise BoundaryError(f"{name}: {backwards}")
         estimate = point.error.relative(1.0)
         # Of an orbit that is one of a family the period is not known; states that are zero may have any relative error.
-        doubtful = estimate > MEANINGLESS_ERROR or point.error.Omega > max(self.tolerance, ROUND_OFF)
-        family = in_family(point.problem, point.z) if doubtful else ""
-        if family:
-            raise FamilyError(f"{name}: {family}")
+        if estimate > MEANINGLESS_ERROR or point.error.Omega > ROUND_OFF:
+            self._check_alone(point, estimate <= MEANINGLESS_ERROR)
         if estimate > MEANINGLESS_ERROR:
             reason = rank_deficiency(point.problem, point.z) or "the equations are nearly singular there"
             words = f"rounding alone leaves an error of {estimate:.1e}"
-            raise BoundaryError(f"{name}: no solution near the guess: {words}; {reason}")
+            raise NotRefinedError(f"{name}: no solution near the guess: {words}; {reason}")
         return point
+
+    def _check_alone(self, point: Point, refined: bool) -> None:
+        """Raises FamilyError for an orbit of a family: its equations are singular, and more multipliers are 1.
+
+        The equations alone do not tell: where an orbit passes an equilibrium that repels they are as good as singular.
+        Multipliers without that of the velocity do not either: nothing is said then of an orbit that is not refined.
+        """
+        words = in_family(point.problem, point.z)
+        if words and self.closure is not None:
+            away = np.abs(self.multipliers_alone(point).multipliers - 1.0)
+            own = 1 + sum(name.startswith(UNFOLDING) for name in self.statement.free)
+            count = np.sum(away <= UNIT_MULTIPLIER_REACH)
+            words = words if count > own or (refined and count < own) else ""
+        if words:
+            raise FamilyError(f"{self.statement.model.name}: {words}")
 
     # Values ---------------------------------------------------------------------------------------------------------
 

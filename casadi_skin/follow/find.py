@@ -19,7 +19,7 @@ import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.solution import Orbit, Solution
-from casadi_skin.follow.space import BoundaryError, FamilyError
+from casadi_skin.follow.space import BoundaryError, FamilyError, NotRefinedError
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import (
     by_name,
@@ -43,7 +43,6 @@ from casadi_skin.solve.newton import (
     Correction,
     NewtonCorrector,
     equilibrium_words,
-    has_shrunk,
     not_finite,
     rank_deficiency,
 )
@@ -503,9 +502,10 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
             try:
                 return space.refined(*(converged_mesh(levels, problem, correction) or (problem, correction)))
             except BoundaryError as error:
-                if not (steep or has_shrunk(problem, correction.z)):
+                again = isinstance(error, NotRefinedError) and PERIOD in space.statement.free
+                if not (steep or again):
                     raise
-                failures.append(str(error))
+                failures.append(str(error).removeprefix(f"{space.statement.model.name}: "))
         else:
             undetermined = rank_deficiency(problem, correction.z, everywhere=True)
             words = (f"{correction.status.value}; {problem.describe_largest_residual(correction.z)}", undetermined)

@@ -50,6 +50,10 @@ class FamilyError(BoundaryError):
     """An orbit is one of a family: the model conserves something that is not declared."""
 
 
+class NotRefinedError(BoundaryError):
+    """What one mesh has for a solution is none on finer meshes."""
+
+
 class EquilibriumError(ArithmeticError):
     """No equilibrium was found: the message names the equation and the place in one line."""
 

@@ -355,11 +355,6 @@ def equilibrium_words(problem: BoundaryProblem, z: Array) -> str:
     return f"this is an equilibrium: the orbit has shrunk to it {place}"
 
 
-def has_shrunk(problem: BoundaryProblem, z: Array) -> bool:
-    """Whether the orbit of z has come to an equilibrium, or near one: from another mesh it may be another."""
-    return "period" in problem.statement.free and _rests(problem, z, SHRUNK_ORBIT_FACTOR)
-
-
 def _rests(problem: BoundaryProblem, z: Array, most: float = RESTING_STATE_RATIO) -> bool:
     """Whether states move by less than so much of what the guess's own sizes distinguish."""
     states = z[: problem.states].reshape(-1, problem.formulation.states)

@@ -10,6 +10,7 @@ from equilibrium_models import symbols
 from casadi_skin import OdeModel, find_equilibrium, find_orbit
 from casadi_skin.follow.branch import Branch, End
 from casadi_skin.follow.space import FamilyError
+from casadi_skin.model.integrators import stiff_cvodes
 
 
 def hodgkin_huxley(unit: float, shift: float) -> OdeModel:
@@ -150,6 +151,22 @@ def test_orbits_of_an_undeclared_energy_are_one_of_a_family_in_any_units(time: f
     model = OdeModel("undeclared", ca.vertcat(q, v), rates)
     with pytest.raises(FamilyError, match="seems to conserve something"):
         find_orbit(model, lambda t: [x * np.cos(1.3 * time * t), -1.3 * y * np.sin(1.3 * time * t)], 4.8 / time)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
+def test_a_cycle_that_passes_an_equilibrium_is_none_of_a_family(tolerance: float) -> None:
+    """Its prey falls to 1e-7 of its largest and grows as much: the equations are singular within 1e-6."""
+    x, y = symbols("x y")
+    eaten = x * y / (1 + x)
+    model = OdeModel("prey", ca.vertcat(x, y), ca.vertcat(x * (1 - x / 12) - eaten, eaten - 0.4 * y))
+    cycle = stiff_cvodes(model, np.empty(0), np.array([1.0, 10.0]), np.linspace(0.0, 300.0, 30001)[1:], 1e-10).states
+    (*_, first, last) = np.flatnonzero((cycle[:-1, 0] < 1.0) & (cycle[1:, 0] >= 1.0))
+    period = (last - first) / 100.0
+    orbit = find_orbit(
+        model, lambda t: cycle[first + int(np.clip(round(100 * t), 0, last - first))], period, tolerance=tolerance
+    )
+    assert abs(orbit.period / period - 1.0) <= 1e-3
+    assert abs(orbit.floquet().multipliers[1]) <= 1e-6
 
 
 @pytest.mark.parametrize(
