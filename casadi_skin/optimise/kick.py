@@ -19,7 +19,7 @@ from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.optimise.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
 from casadi_skin.optimise.search import distinct
-from casadi_skin.optimise.search_problem import CosineOrbit, Ending, Outcome, Start, solve_start
+from casadi_skin.optimise.search_problem import CosineOrbit, Ending, Outcome, Start, lost_start, solve_start
 from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor, nlp_reason
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices
@@ -301,6 +301,7 @@ class SmallestKick(Result):
             `far_end_time` the time of its escape.
         interrupted: whether an interruption ended the search.
         tried: number of starts that have ended.
+        lost: starts whose worker was ended twice, in words; empty where there is none.
     """
 
     orbit: Orbit
@@ -317,6 +318,7 @@ class SmallestKick(Result):
     far_end_time: float
     interrupted: bool
     tried: int
+    lost: str = ""
 
     def __repr__(self) -> str:
         return f"<SmallestKick: norm {self.norm:.10g}; {self.status}>"
@@ -376,6 +378,7 @@ class SmallestKick(Result):
             end = "at the end of the time allowed"
         words += f"; distance {self.reached:.6g}" if np.isfinite(self.reached) else "; not yet compared with CVODES"
         words += f" at t = {self.escape_time:.6g}, {end}"
+        words += f"; {self.lost}" if self.lost else ""
         return f"interrupted: {words}" if self.interrupted else words
 
     def evolution(self, kick: Array | None = None) -> Escape:
@@ -420,7 +423,7 @@ def smallest_kick(
         KeyboardInterrupt: an interruption before any kick escapes.
     """
     check(orbit, time, distance, norm, starts, seed)
-    runner = Runner(progress, workers, executor)
+    runner = Runner(progress, workers, executor, lost_start)
     sites = kicked_sites(orbit, at)
     flow = KickedFlow.up_to(orbit, float(time))
     farthest_known = REACH_SHARE * reach(flow.curve)
@@ -437,10 +440,13 @@ def smallest_kick(
     starting = directions(along_far, gains, vectors, starts, seed)
     with runner.listening():
         outcomes: list[Outcome] = list(runner.run(search.solve, starting))
-    interrupted = runner.interrupted or any(outcome.ending is Ending.INTERRUPTED for outcome in outcomes)
+    lost = [o for o in outcomes if o.ending is Ending.INTERRUPTED and not runner.interrupted]
+    outcomes, interrupted = [o for o in outcomes if o not in lost], runner.interrupted
     if all(outcome.ending is Ending.NO_ORBIT for outcome in outcomes):
         if interrupted:
             raise KeyboardInterrupt
+        if lost:
+            raise KickError(f"smallest_kick: start {lost[0].start.number}: {lost[0].words}, twice")
         words = f"none of {len(outcomes)} starts comes to the distance {distance:g}"
         raise KickError(f"smallest_kick: {words} within t = {flow.time:g} at any size tried")
     best, *others = search.optima(outcomes)
@@ -464,6 +470,7 @@ def smallest_kick(
         far_end_time=far_time,
         interrupted=interrupted or stopped,
         tried=len(outcomes),
+        lost="; ".join(f"start {outcome.start.number}: {outcome.words}, twice" for outcome in lost),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
+import re
 import signal
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
@@ -23,7 +24,7 @@ from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick import KickError, SmallestKick, kick_norm
 from casadi_skin.optimise.kick_nlp import reach
 from casadi_skin.optimise.search_problem import CosineOrbit
-from casadi_skin.solve.processes import SearchProgress
+from casadi_skin.solve.processes import SearchProgress, Worker
 
 
 @cache
@@ -237,6 +238,24 @@ def test_processes_find_the_same_optima(given: bool) -> None:
         np.testing.assert_allclose(one.kick, other.kick, rtol=1e-9, atol=1e-9 * alone.norm)
     assert {p.start for p in told} == {1, 2, 3, 4}
     assert str(told[-1]).startswith("4 of 4 starts done")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_start_whose_worker_is_killed_is_run_again(times: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer, killed = Worker._answer, list[Worker]()
+
+    def kill(self: Worker, *options: Any) -> Any:
+        if self.process is not None and len(killed) < times and self in (killed or [self]):
+            killed.append(self)
+            self.process.kill()
+        return answer(self, *options)
+
+    monkeypatch.setattr(Worker, "_answer", kill)
+    kick = smallest_kick(breather(), found().time, starts=4, workers=2)
+    assert (len(killed), kick.tried, kick.interrupted) == (times, 5 - times, False)
+    assert kick.norm == pytest.approx(found().norm)
+    assert bool(re.search(r"; start [1-4]: its worker ended by signal 9, twice$", kick.status)) is (times == 2)
 
 
 @pytest.mark.usefixtures("interruptible")
