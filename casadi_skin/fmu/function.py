@@ -80,7 +80,8 @@ class Columns:
 class Differences:
     """Derivatives by central differences with three steps, each with an estimate of its error.
 
-    `largest_error` is the largest estimate so far, relative to the largest entry of its Jacobian.
+    `largest_error` is the largest estimate so far, relative to the largest entry of its Jacobian, both in the sizes of
+    values and components.
     """
 
     largest_error: float = 0.0
@@ -92,15 +93,14 @@ class Differences:
         along = columns.seeds * steps
         return (at + STEP_FACTORS[:, None] * along[:, None, :]).reshape(-1, at.size), steps
 
-    def quotients(self, values: Array, steps: Array, columns: Columns) -> Array:
-        """Non-zeros by columns from the values there."""
+    def quotients(self, values: Array, steps: Array, columns: Columns, sizes: Array, across: Array) -> Array:
+        """Non-zeros by columns from the values there; `sizes` are those of the values, `across` those of components."""
         sums = EXTRAPOLATION_WEIGHTS @ values.reshape(len(columns.seeds), STEP_FACTORS.size, -1)
         both = sums[columns.owners, :, columns.rows] / steps[columns.columns, None]
-        largest, error = np.abs(both).max(axis=0, initial=0.0).tolist()
+        units = across[columns.columns] / sizes[columns.rows]
+        largest, error = np.max(np.abs(both) * units[:, None], axis=0, initial=0.0).tolist()
         # Of derivatives that vanish at a place the error is that of rounded values, relative to these.
-        largest = max(
-            largest, DIFFERENCE_STEP * float(np.abs(values).max(initial=0.0) / steps.max(initial=DIFFERENCE_STEP))
-        )
+        largest = max(largest, float(np.max(np.abs(values) / sizes, initial=0.0)))
         if 0.0 < largest < np.inf:
             self.largest_error = max(self.largest_error, error / largest)
         return np.asarray(both[:, 0])
@@ -124,6 +124,8 @@ class Derivatives:
         elements = variables.derivatives if self.unknowns is None else self.unknowns
         self.size = len(elements)
         self.scale = np.array([state.size for state in variables.states])
+        self._seen = self.scale.copy()  # the largest sizes of states so far
+        self._outputs = None if self.unknowns is None else np.array([element.size for element in self.unknowns])
         self._given_scale = np.where(self.instance.start_given != 0.0, np.abs(self.instance.start_given), 1.0)
         self._declared = variables.declared(elements)
         self._wanted = None if self.unknowns is None else Group.of(elements)
@@ -138,6 +140,11 @@ class Derivatives:
         self._shifted: tuple[bytes | None, Array, Array] = (None, np.empty(0), np.empty(0))
         self._by_states, self.by_states = self._chosen()
         self.by_parameters = self._chosen_for_parameters() if given else "directional"
+
+    @property
+    def sizes(self) -> Array:
+        """Those of the numbers: of derivatives those of their states."""
+        return self._seen if self._outputs is None else self._outputs
 
     @property
     def pattern(self) -> Pattern:
@@ -163,12 +170,14 @@ class Derivatives:
     def time_derivative(self, t: float, x: Array, p: Array) -> Array:
         """d value/d t by differences."""
         times, steps = self.difference.moved(np.array([t]), np.ones(1), self._along_time)
-        return self.difference.quotients(self._at(times[:, 0].tolist(), x[None], p), steps, self._along_time)
+        values = self._at(times[:, 0].tolist(), x[None], p)
+        return self.difference.quotients(values, steps, self._along_time, self.sizes, np.ones(1))
 
     def _states_jacobian(self, how: str, columns: Columns, t: float, x: Array, p: Array) -> Array:
         if how == "differences":
             points, steps = self.difference.moved(x, self.scale, columns)
-            return self.difference.quotients(self._at((t,) * len(points), points, p), steps, columns)
+            values, self._seen = self._at((t,) * len(points), points, p), np.maximum(self._seen, np.abs(x))
+            return self.difference.quotients(values, steps, columns, self.sizes, self._seen)
         if columns not in self._seeds:
             self._seeds[columns] = Buffer(self._states.spread(columns.seeds))
         return columns.nonzeros(self.instance.directional(self._rates, self._states, self._seeds[columns], t, x, p))
@@ -180,7 +189,7 @@ class Derivatives:
                 self._shifted = key, *self.difference.moved(p, self._given_scale, self._everything)
             _, points, steps = self._shifted
             values = self.instance.at(self._wanted, (t,) * len(points), x[None], points)
-            return self.difference.quotients(values, steps, self._everything)
+            return self.difference.quotients(values, steps, self._everything, self.sizes, self._given_scale)
         return self.instance.directional(self._rates, self._known, self._given_seeds, t, x, p).ravel()
 
     # Checks -----------------------------------------------------------------------------------------------------------
@@ -204,7 +213,7 @@ class Derivatives:
                     (columns.dense(self._states_jacobian(how, columns, *at)) @ directions.T, known)
                     for at, known in trials
                 ]
-                if all(_agree(given, known) for given, known in found):
+                if all(_agree(given, known, self.sizes[:, None]) for given, known in found):
                     self.difference.largest_error = 0.0
                     return columns, how
         return columns, "differences"  # all entries
@@ -214,21 +223,26 @@ class Derivatives:
         (t, x, p), differences = at, Differences()
         distances, steps = differences.moved(np.zeros(1), np.ones(1), self._along_time)
         found = (self._at((t,) * len(distances), x + distances * d, p) for d in directions)
-        return np.array([differences.quotients(values, steps, self._along_time) for values in found]).T
+        units = self.sizes, np.ones(1)
+        return np.array([differences.quotients(values, steps, self._along_time, *units) for values in found]).T
 
     def _chosen_for_parameters(self) -> str:
         if not (self.by_states == "directional" and all(element.tunable for element in self.instance.given)):
             return "differences"
         for at in self._trials():
             known = self._parameters_jacobian("differences", *at)
-            if not _agree(self._parameters_jacobian("directional", *at), known):
+            sizes = self.sizes[self._everything.rows] / self._given_scale[self._everything.columns]
+            if not _agree(self._parameters_jacobian("directional", *at), known, sizes):
                 return "differences"
         self.difference.largest_error = 0.0
         return "directional"
 
 
-def _agree(given: Array, known: Array) -> bool:
-    return bool(np.all(np.abs(given - known) <= DERIVATIVE_AGREEMENT * np.abs(known).max(initial=0.0)))
+def _agree(given: Array, known: Array, sizes: Array) -> bool:
+    """Whether derivatives agree, in sizes of each."""
+    return bool(
+        np.all(np.abs(given - known) / sizes <= DERIVATIVE_AGREEMENT * np.max(np.abs(known) / sizes, initial=0))
+    )
 
 
 # An FMU's right-hand side or outputs as a function of CasADi with its Jacobian ----------------------------------------

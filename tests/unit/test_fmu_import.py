@@ -133,10 +133,12 @@ def test_differences_where_no_derivatives_are_offered_know_their_error(chain_fmu
     assert (model.derivatives, model.parameter_derivatives) == ("differences", "differences")
     found, expected = jacobians(model), jacobians(truth)
     assert model.noise == 0.0
-    largest = 0.0
+    largest, sizes = 0.0, model.functions[0].derivatives.scale  # an estimate is relative in sizes of states
     for x, p in points(10):
-        for ours, theirs in zip(found(0, x, p)[1:], expected(0, x, p)[1:], strict=True):
-            largest = max(largest, float(np.abs(np.array(ours - theirs)).max() / np.abs(np.array(theirs)).max()))
+        sizes, (value, *ours), theirs = np.maximum(sizes, np.abs(x)), found(0, x, p), expected(0, x, p)[1:]
+        for our, their, across in zip(ours, theirs, (sizes, np.array([0.8, 0.3, 1.0])), strict=True):
+            errors, entries = (np.abs(np.array(m)) * across / sizes[:, None] for m in (our - their, their))
+            largest = max(largest, errors.max() / max(entries.max(), np.max(np.abs(np.array(value).ravel()) / sizes)))
     assert 0.0 < largest < 1e-11
     assert largest / 2 < model.noise < 1e-10
     assert found.nnz_out(1) == expected.nnz_out(1)
@@ -156,6 +158,25 @@ def test_error_estimates_know_the_noise_of_the_fmu(tmp_path: Path) -> None:
     error = np.abs(solution.states[:, 0] - np.sin(solution.t) / np.sin(1.0)).max()
     assert solution.at_round_off
     assert 1e-9 < error < solution.error < 1e-5
+
+
+def test_the_noise_is_that_of_each_state_in_its_own_size(tmp_path: Path) -> None:
+    """Van der Pol's equations with a state 2^20 times as large: the noise of the other is as before, to the bit."""
+    noises = []
+    for size in (1.0, 2.0**20):
+        x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+        noise = 1e-6 * ca.sin(1e7 * x[1])
+        rates = ca.vertcat(size * x[1], p * (1 - (x[0] / size) ** 2) * x[1] - x[0] / size + noise)
+        own = export_fmu(OdeModel("noisy", x, rates, p, nominal=(1.0,)), tmp_path / f"own_{size:g}.fmu")
+        told = {
+            "modelDescription.xml": lambda xml, size=size: xml.replace(b'"1.0" start="0', b'"%f" start="0' % size, 1)
+        }
+        model = import_fmu(changed(own, tmp_path / f"{size:g}.fmu", told), parameters=["p"])
+        assert model.derivatives == "differences"
+        jacobians(model)(0, [1.5 * size, 0.3], [1.0])
+        noises.append(model.noise)
+    assert 1e-5 < noises[0] < 1e-2
+    assert noises[1] == noises[0]
 
 
 @pytest.mark.slow
