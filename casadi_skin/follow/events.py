@@ -376,6 +376,7 @@ class _Paired(_OrbitSearch):
 
 # The account of a branch of orbits: its events in order, and the changes of stability that follow from them -----------
 
+SURE_SIDE = 3.0  # errors by which a multiplier has a side beside a special orbit
 BESIDE_SPECIAL = (
     1e-2,
     0.1,
@@ -482,7 +483,10 @@ class Ledger:
         )
 
     def _beside(self, before: Solution, after: Solution, fractions: Sequence[float]) -> Solution | None:
-        """The first of orbits at fractions of the way at which all multipliers have a side; the first if none is it."""
+        """The first of orbits at fractions of the way at which all multipliers have a side; the first if none is it.
+
+        They have one by several errors, as this is where rounding decides: beside a Hopf point one was on the other.
+        """
         nearest: Solution | None = None
         solver = self.space.point_solver
         for fraction in fractions:
@@ -491,7 +495,8 @@ class Ledger:
                 if point is None:
                     return nearest
                 found: Solution = self.space.solution(point, self.space.floquets([point])[0])
-                if not found.floquet().exponents.outside[1]:
+                sides = found.floquet().exponents
+                if not replace(sides, noise=SURE_SIDE * sides.noise).outside[1]:
                     return found
             nearest = nearest or found
         return nearest
