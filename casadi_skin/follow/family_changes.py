@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.point import PointSolver, interpolant, newton_steps
+from casadi_skin.follow.point import PointSolver, hermite, newton_steps
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import check_time_limit, one_thread
 from casadi_skin.stability.flows import OrbitState, Transition
@@ -78,8 +78,8 @@ class _Section:
         found = np.empty((places.size, self.z.shape[1]))
         for first in np.unique(firsts).tolist():
             chosen, here = slice(first, first + PREDICTING_POINTS), firsts == first
-            curve = interpolant(self.places[chosen], self.z[chosen], self.slopes[chosen])
-            found[here] = curve(places[here, None])
+            values, slopes = np.array(hermite(self.places[chosen].tolist(), places[here])).swapaxes(0, 1)
+            found[here] = values.T @ self.z[chosen] + slopes.T @ self.slopes[chosen]
         found += np.multiply.outer((places - found @ self.row) / (self.row @ self.row), self.row)
         return found, self.places[right] - self.places[right - 1]
 

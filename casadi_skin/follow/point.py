@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import groupby
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyroots, polyval
@@ -136,10 +136,16 @@ def predictor(points: Array, row: Array) -> Callable[[float], Array]:
     Only points in order along `row` are used, so that the curve of a sharp turn is not wilder than the turn.
     """
     values, tangents = points[:, 0], points[:, 1]
-    places, slopes, n = (values - values[0]) @ row, tangents @ row, 1
+    places, slopes, n = ((values - values[0]) @ row).tolist(), (tangents @ row).tolist(), 1
     while n < len(points) and places[n] < places[n - 1] and slopes[n] > ALIGNED_COSINE:
         n += 1
-    return interpolant(places[:n], values[:n], tangents[:n] / slopes[:n, None])
+    known = points[:n].reshape(2 * n, -1)
+
+    def at(sigma: float) -> Array:
+        pairs = zip(hermite(places[:n], sigma), slopes, strict=False)
+        return np.asarray(np.array([weight for (own, rate), slope in pairs for weight in (own, rate / slope)]) @ known)
+
+    return at
 
 
 def predicting(points: Array, row: Array, weights: Array) -> Array:
@@ -156,22 +162,19 @@ def predicting(points: Array, row: Array, weights: Array) -> Array:
     return points if by_curve <= by_tangent else points[:1]
 
 
-def interpolant(places: Array, values: Array, slopes: Array) -> Callable[[float | Array], Array]:
-    """The polynomial of least degree through values and slopes, each (places, m): as a float, or as a column of places.
+def hermite(places: Sequence[float], x: Any) -> list[tuple[Any, Any]]:
+    """Weights of values and of slopes at places in the polynomial of least degree through both, at x or several x.
 
-    sum_j L_j(x)^2 ((1 - 2 (x - x_j) L_j'(x_j)) values_j + (x - x_j) slopes_j) with Lagrange's polynomials L_j. Written
-    out, as scipy.interpolate takes a third of a family's time to load.
+    L_j(x)^2 (1 - 2 (x - x_j) L_j'(x_j)) and (x - x_j) L_j(x)^2 with Lagrange's polynomials L_j. Written out, as
+    scipy.interpolate takes a third of a family's time to load.
     """
-    own = np.eye(places.size, dtype=bool)
-    inverse = 1.0 / np.where(own, 1.0, places[:, None] - places)
-    scale, rate = inverse.prod(axis=1), inverse.sum(axis=1) - 1.0
-
-    def at(place: float | Array) -> Array:
-        off = place - places
-        squares = (np.where(own, 1.0, off[..., None, :]).prod(axis=-1) * scale) ** 2
-        return np.asarray(squares * (1.0 - 2.0 * off * rate) @ values + squares * off @ slopes)
-
-    return at
+    found = []
+    for own in places:
+        others = [other for other in places if other != own]
+        lagrange = math.prod((x - other) / (own - other) for other in others)
+        rate = sum(1.0 / (own - other) for other in others)
+        found.append((lagrange**2 * (1.0 - 2.0 * (x - own) * rate), lagrange**2 * (x - own)))
+    return found
 
 
 @lru_cache(maxsize=8)
@@ -208,10 +211,6 @@ BESIDE_TARGET_REACH = 1e-3  # reach of a correction to a target that the point m
 
 
 KEPT_STRETCHES = 6  # whose starts are kept in the unknowns of their ends
-TANGENT_RTOL = (
-    1e-14  # of a tangent: what factors of a Jacobian nearby may leave of it; folds are where its rate is zero
-)
-SLOWEST_TANGENT = 0.3  # of a step towards the tangent with these: a next one that is longer needs new factors
 STACKED_UNKNOWNS = 1000  # unknowns up to which arrays over several states stay in the cache of a core
 
 
@@ -288,39 +287,26 @@ class PointSolver:
 
     def distance(self, problem: Problem, z: Array, other: Array) -> float:
         """Distance of two states in the metric at the first one."""
-        return float(np.sqrt(self.metric(problem, z) @ (other - z) ** 2))
+        return math.sqrt(self.metric(problem, z) @ (other - z) ** 2)
 
     def factor(self, problem: Problem, z: Array, row: Array) -> Solve:
         """Solver of the Jacobian at z closed by `row`; raises SingularError."""
         return self.levels.solver(problem).factor(z, problem.evaluate(z)[1], row)
 
     def factors(self, problem: Problem, correction: Correction, row: Array) -> Solve:
-        """The corrector's factors of a Jacobian next to the corrected point; those there where corners are sought."""
-        known = correction.solve if problem.in_order and not self.settings.rounds_corners else None
-        return known or self.factor(problem, correction.z, row)
+        """The corrector's factors of a Jacobian next to the corrected point, where these serve; those there else."""
+        return correction.solve or self.factor(problem, correction.z, row)
 
     def tangent(self, problem: Problem, z: Array, solve: Solve, there: bool = False) -> Array:
         """Unit tangent at z with row . t > 0, by the solver closed by that row; its factors may be from near z.
 
         They are of z itself where this is `there`.
         """
-        weights, right = self.metric(problem, z), np.zeros(problem.size)
-        right[-1] = 1.0
-        t = solve(right)
-        size = before = float(np.sqrt(weights @ t**2))
-        right[-1] = 0.0
-        while problem.in_order:
-            right[:-1] = problem.applied(z, t)
-            change = solve(right)
-            t, off = t - change, float(np.sqrt(weights @ change**2))
-            if off**2 <= TANGENT_RTOL * before * size:
-                break
-            if not off <= SLOWEST_TANGENT * before:
-                if there:  # what its own factors leave is rounding
-                    break
-                return self.tangent(problem, z, self.factor(problem, z, weights * t), there=True)
-            before = off
-        return np.asarray(t / float(np.sqrt(weights @ t**2)))
+        weights = self.metric(problem, z)
+        t, settled = problem.null_vector(z, solve, weights)
+        if not (settled or there):  # what its own factors leave is rounding
+            return self.tangent(problem, z, self.factor(problem, z, weights * t), there=True)
+        return np.asarray(t / math.sqrt(weights @ t**2))
 
     def start(self, positions: Array, Omega: float) -> Point:
         """The linear mode at zero amplitude with the tangent of its family; not walked.
@@ -374,8 +360,8 @@ class PointSolver:
             return None
         distance = self.distance(problem, guess, correction.z)
         allowed = self.settings.guard_distance * reach
-        if distance <= allowed:  # factors from near a point serve where what they leave is made up for
-            return correction if problem.measured_by_defect else replace(correction, solve=None)
+        if distance <= allowed:
+            return correction
         if reach <= 0.0:
             self.failure = f"the next point lies behind the one before it ({problem.describe_parameters(guess)})"
             return None
@@ -461,7 +447,7 @@ class PointSolver:
                 return known[0]
             tangent, solve = problem.own_tangent, correction.solve
             if tangent is None:
-                solve = (problem.in_order and solve) or self.factor(problem, z, row)
+                solve = solve or self.factor(problem, z, row)
                 tangent = self.tangent(problem, z, solve) if known is None else known[0].tangent
             if known is None:
                 known = self._measured(problem, replace(correction, z=z, iterations=iterations), tangent, held)

@@ -135,12 +135,52 @@ KERNEL(collocation_equations)(const equations *e, const double *z, const double 
 }
 
 /* The Jacobian times a step, (size - 1). */
-KERNEL(collocation_applied)(const equations *e, const double *nonzeros, const double *step, double *sums)
+static void apply(const equations *e, const double *nonzeros, const double *step, double *sums)
 {
     memset(sums, 0, (size_t)(e->n * e->K * e->R + e->conditions + e->integrals) * sizeof(double));
     for (int64_t i = 0; i < e->nonzeros; i++)
         sums[e->rows[i]] += nonzeros[i] * step[e->columns[i]];
+}
+
+/* The largest of the terms of each equation: non-zeros of a matrix times unknowns z, into `terms`, which are zero. */
+KERNEL(largest_terms)(int64_t nonzeros, const double *values, const int64_t *rows, const int64_t *columns,
+                      const double *z, double *terms)
+{
+    for (int64_t i = 0; i < nonzeros; i++) {
+        const double term = fabs(values[i] * z[columns[i]]);
+        terms[rows[i]] = term > terms[rows[i]] ? term : terms[rows[i]];
+    }
     return 0;
+}
+
+static double length_of(const double *weights, const double *step, int64_t size)
+{
+    double sum = 0.0;
+    for (int64_t i = 0; i < size; i++)
+        sum += weights[i] * step[i] * step[i];
+    return sqrt(sum);
+}
+
+/* As `Problem.null_vector`, by factors in `memory` of the Jacobian or of one nearby: t, (size). Returns 1 where what they
+   leave does not become small fast; `room` has `size` numbers. */
+KERNEL(collocation_null_vector)(const equations *e, const void *layout, double *memory, const double *nonzeros,
+                                const double *weights, double accurate, double slowest, double *t, double *room)
+{
+    const int64_t count = e->n * e->K * e->R + e->conditions + e->integrals;
+    memset(t, 0, (size_t)count * sizeof(double)), t[count] = 1.0;
+    NAMED(collocation_solve)(layout, memory, 1, t);
+    const double size = length_of(weights, t, count + 1);
+    for (double before = size, off;; before = off) {
+        apply(e, nonzeros, t, room), room[count] = 0.0;
+        NAMED(collocation_solve)(layout, memory, 1, room);
+        for (int64_t i = 0; i <= count; i++)
+            t[i] -= room[i];
+        off = length_of(weights, room, count + 1);
+        if (off * off <= accurate * before * size)
+            return 0;
+        if (!(off <= slowest * before))
+            return 1;
+    }
 }
 
 /* Weights of the defect at check points of an interval, see zero/butcher.py: q inner ones, and of all places, which are
@@ -278,7 +318,7 @@ KERNEL(collocation_improved)(const equations *e, const checks *c, const void *la
     right[count] = more[count] = 0.0;
     memcpy(step, right, (size_t)(count + 1) * sizeof(double));
     NAMED(collocation_solve)(layout, memory, 1, step);
-    NAMED(collocation_applied)(e, nonzeros, step, more);
+    apply(e, nonzeros, step, more);
     for (int64_t i = 0; i < count; i++)
         more[i] = right[i] - more[i];
     NAMED(collocation_solve)(layout, memory, 1, more);

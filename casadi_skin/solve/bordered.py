@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
-from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,9 @@ class CompiledFactors:
 
     def __init__(self, kernel: BorderedKernel | CollocationKernel, memory: Array, orientation: float) -> None:
         self.kernel, self.memory, self.orientation = kernel, memory, orientation
-        finalize(self, give_back, memory).atexit = False
+
+    def __del__(self) -> None:
+        give_back(self.memory)
 
     @property
     def compiled(self) -> tuple[Structure, Array]:

@@ -167,7 +167,8 @@ class Levels:
         """The corrector of a problem."""
         if problem.resolution not in self._correctors:
             self._correctors[problem.resolution] = self._correct_with(problem)
-        return self._correctors[problem.resolution].on(problem)
+        self._correctors[problem.resolution] = found = self._correctors[problem.resolution].on(problem)
+        return found
 
     def finer(self, problem: Problem, z: Array | None = None, excess: float = 1.0) -> Problem | None:
         """The next level above, or None at the top.

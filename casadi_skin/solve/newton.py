@@ -42,7 +42,8 @@ class Status(Enum):
 class Correction:
     """A corrected point z, or where the corrector stopped; `message` adds the solver's own words.
 
-    `solve` has the factors of the closed Jacobian next to z, where the corrector had them.
+    `solve` has the factors of the closed Jacobian next to z, where the corrector had them and they serve there: where
+    what they leave is made up for, as in all that is `measured_by_defect`.
     """
 
     z: Array
@@ -69,6 +70,8 @@ class Corrector(ABC):
 
     def on(self, problem: Problem) -> Self:
         """This corrector for a problem that differs in its constants only; nothing is built again."""
+        if problem is self.problem:
+            return self
         other = copy.copy(self)
         other.problem = problem
         return other
@@ -133,7 +136,9 @@ class NewtonCorrector(Corrector):
                 reuse = False
                 continue
             if length <= NEGLIGIBLE_STEP * self.tolerance:  # the equations at z are known
-                return Correction(z, Status.CONVERGED, iteration, solve=solve)
+                return Correction(
+                    z, Status.CONVERGED, iteration, solve=solve if self.problem.measured_by_defect else None
+                )
             if self._decreasing and CHORD_STEP < length < np.inf:
                 moved = self._lower(z, step, row, value)
                 if moved is None:
@@ -147,7 +152,9 @@ class NewtonCorrector(Corrector):
             quadratic = not reuse and length < 1e-3 and length**2 / min(last, 1.0) < 0.1 * self.tolerance
             linear = reuse and CHORD_SAFETY * length**2 / last < 0.1 * self.tolerance
             if length <= self.tolerance or quadratic or linear:
-                return Correction(z, Status.CONVERGED, iteration, solve=solve)
+                return Correction(
+                    z, Status.CONVERGED, iteration, solve=solve if self.problem.measured_by_defect else None
+                )
             shrinks = length <= CHORD_STEP or length <= FAST_STEP_RATIO * min(last, 1.0)
             reuse, last = self.problem.keeps_factors and shrinks, length
         return Correction(z, Status.TOO_MANY_ITERATIONS, self.max_iterations, self.problem.describe_largest_residual(z))
@@ -232,7 +239,7 @@ class RoundedCorrector(Corrector):
         self.inner, self.problem, self.confirms = inner, inner.problem, inner.confirms
 
     def on(self, problem: Problem) -> RoundedCorrector:
-        return RoundedCorrector(self.inner.on(problem))
+        return self if problem is self.problem else RoundedCorrector(self.inner.on(problem))
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         return self._rounded(self.inner.correct(guess, row, value), row, value)

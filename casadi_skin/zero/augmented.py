@@ -184,9 +184,6 @@ class Augmented(Problem):
             self._last = at, *self._evaluated(z)
         return self._last[1]
 
-    def applied(self, z: Array, step: Array) -> Array:
-        return Problem.applied(self, z, step)  # G is none of the solutions' own equations
-
     def _evaluated(self, z: Array) -> tuple[tuple[Array, Array], Array]:
         """The equations, and the size of the terms of G."""
         residual, nonzeros = self.own(z)

@@ -28,7 +28,17 @@ from casadi_skin.native.collocation import INTERVALS
 from casadi_skin.zero import mesh
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.discretisation import Discretisation, Formulation
-from casadi_skin.zero.problem import Array, Indices, OrbitProblem, Other, Problem, sparse_matrix
+from casadi_skin.zero.problem import (
+    NULL_RTOL,
+    SLOWEST_STEP,
+    Array,
+    Indices,
+    OrbitProblem,
+    Other,
+    Problem,
+    Solve,
+    sparse_matrix,
+)
 
 NO_VALUES: Array = np.zeros(0)
 FEW_PLACES = 2_000  # places whose weights are kept for the next solution on the same mesh
@@ -98,8 +108,13 @@ class CollocationEquations(Problem):
     def _values(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         return self.discretisation(z, numbers)
 
-    def applied(self, z: Array, step: Array) -> Array:
-        return self.discretisation.applied(z, self.numbers, step)
+    def null_vector(self, z: Array, solve: Solve, weights: Array) -> tuple[Array, bool]:
+        compiled = getattr(solve, "compiled", None)
+        if compiled is None or not kernels():
+            return super().null_vector(z, solve, weights)
+        nonzeros, t, limits = self.evaluate(z)[1], np.empty(self.size), (NULL_RTOL, SLOWEST_STEP)
+        data = self.discretisation.compiled, *compiled, nonzeros, weights, *limits
+        return t, not kernels()["collocation_null_vector"](*data, t, np.empty(self.size))
 
     @cached_property
     def numbers(self) -> Array:

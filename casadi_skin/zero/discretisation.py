@@ -354,15 +354,6 @@ class Discretisation:
         """Results of a mapped function, one row a stage."""
         return found.reshape(self._K * self._d + 1, -1)[:-1]
 
-    def applied(self, z: Array, numbers: Array, step: Array) -> Array:
-        """The Jacobian at z times a step."""
-        nonzeros = self(z, numbers)[1]
-        if not kernels():
-            return np.asarray(np.bincount(self.rows, nonzeros * step[self.columns], self.equations), dtype=float)
-        found = np.empty(self.equations)
-        kernels()["collocation_applied"](self.compiled, nonzeros, np.ascontiguousarray(step), found)
-        return found
-
     def jacobians(self, z: Array, numbers: Array, count: int) -> Array:
         """Derivatives of the field by the first `count` states at the stages, dense, shape (K d, count, count)."""
         if self._field.places is not None:
@@ -438,11 +429,21 @@ def improved(
     left, between = missed(equations, z, numbers)
     right = np.append(residual + left, 0.0)
     step = solve(right)
-    right[:-1] -= equations.applied(z, numbers, step)
+    right[:-1] -= np.bincount(equations.rows, nonzeros * step[equations.columns], equations.equations)
     more = solve(right)
     step = step + more
     changes = change_of(equations, step, between, sizes), change_of(equations, more, None, sizes)
     return step, between, np.array(changes)
+
+
+def largest_terms(nonzeros: Array, rows: Indices, columns: Indices, z: Array, count: int) -> Array:
+    """The largest of the terms of each of `count` equations: derivatives times the unknowns."""
+    found = np.zeros(count)
+    if kernels():
+        kernels()["largest_terms"](nonzeros.size, nonzeros, rows, columns, np.ascontiguousarray(z), found)
+    else:
+        np.maximum.at(found, rows, np.abs(nonzeros * z[columns]))
+    return found
 
 
 def change_of(equations: Discretisation, step: Array, between: Array | None, sizes: Array) -> float:

@@ -25,6 +25,10 @@ Indices = NDArray[np.int64]
 Other = TypeVar("Other", bound="Problem")
 
 EPSILON = float(np.finfo(float).eps)
+NULL_RTOL = (
+    1e-14  # of a null vector: what factors of a Jacobian nearby may leave of it; folds are where its rate is zero
+)
+SLOWEST_STEP = 0.3  # of a step towards it with these: a next one that is longer needs new factors
 
 
 class SingularError(ArithmeticError):
@@ -241,6 +245,27 @@ class Problem(ABC):
         """The Jacobian at z times a step, shape (size - 1,)."""
         rows, columns = self.pattern
         return np.asarray(np.bincount(rows, self.evaluate(z)[1] * step[columns], self.size - 1), dtype=float)
+
+    def null_vector(self, z: Array, solve: Solve, weights: Array) -> tuple[Array, bool]:
+        """What the Jacobian at z maps to zero and the row that closed `solve` to 1; whether its last step was small.
+
+        Factors of unknowns `in_order` may be of a Jacobian near z: what they leave is made up for step by step.
+        """
+        right = np.zeros(self.size)
+        right[-1] = 1.0
+        t = solve(right)
+        size = before = float(np.sqrt(weights @ t**2))
+        right[-1] = 0.0
+        while self.in_order:
+            right[:-1] = self.applied(z, t)
+            change = solve(right)
+            t, off = t - change, float(np.sqrt(weights @ change**2))
+            if off**2 <= NULL_RTOL * before * size:
+                break
+            if not off <= SLOWEST_STEP * before:
+                return t, False
+            before = off
+        return t, True
 
     def evaluate_all(self, z: Array) -> tuple[Array, Array]:
         """The same at several states (states, size): shapes (states, size - 1) and (states, non-zeros)."""

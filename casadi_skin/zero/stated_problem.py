@@ -19,7 +19,7 @@ from casadi_skin.zero import mesh
 from casadi_skin.zero.balanced import Faint
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.collocation import CollocationEquations
-from casadi_skin.zero.discretisation import Formulation, change_of, improved
+from casadi_skin.zero.discretisation import Formulation, change_of, improved, largest_terms
 from casadi_skin.zero.problem import Array, Problem, Scalar, Solve
 from casadi_skin.zero.statement import Statement
 
@@ -191,9 +191,7 @@ class BoundaryProblem(CollocationEquations):
 
     def rounding(self, z: Array) -> Array:  # type: ignore[override]
         """Of each equation, as components of the state have units of their own."""
-        rows, columns = self.pattern
-        largest = np.zeros(self.size - 1)
-        np.maximum.at(largest, rows, np.abs(self.evaluate(z)[1] * z[columns]))
+        largest = largest_terms(self.evaluate(z)[1], *self.pattern, z, self.size - 1)
         return self.statement.model.rounding * largest
 
     # Words ----------------------------------------------------------------------------------------------------------

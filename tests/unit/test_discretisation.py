@@ -64,7 +64,8 @@ def test_defects_products_and_other_meshes_are_those_by_numpy(options: dict[str,
         changes = [problem.profile_change(z, steps[0]), problem.profile_change(z, steps[0], parts[-1])]
         solve = BorderedSolver(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
         better = improved(problem.discretisation, z * (1.0 + 1e-6), problem.numbers, solve, np.ones(2))
-        return [*parts, problem.applied(z, steps[0]), *meshes, np.array(changes), *better]
+        along = problem.null_vector(z, solve, np.ones(z.size))[0]
+        return [*parts, problem.rounding(z), along, *meshes, np.array(changes), *better]
 
     compiled = found()
     with numpy_alone():
