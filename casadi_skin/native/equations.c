@@ -148,7 +148,8 @@ KERNEL(largest_terms)(int64_t nonzeros, const double *values, const int64_t *row
 {
     for (int64_t i = 0; i < nonzeros; i++) {
         const double term = fabs(values[i] * z[columns[i]]);
-        terms[rows[i]] = term > terms[rows[i]] ? term : terms[rows[i]];
+        if (term > terms[rows[i]] || term != term) /* a term that is no number stays */
+            terms[rows[i]] = term;
     }
     return 0;
 }

@@ -14,7 +14,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero import butcher
 from casadi_skin.zero.butcher import CollocationTable
-from casadi_skin.zero.discretisation import improved, missed
+from casadi_skin.zero.discretisation import improved, largest_terms, missed
 
 
 def oscillator() -> BoundaryValueProblem:
@@ -72,6 +72,14 @@ def test_defects_products_and_other_meshes_are_those_by_numpy(options: dict[str,
         for one, plain in zip(compiled, found(), strict=True):
             assert one.shape == plain.shape
             np.testing.assert_allclose(one, plain, rtol=0, atol=1e-11 * np.max(np.abs(plain), initial=0.0))
+
+
+@needs_kernels
+def test_a_term_that_is_no_number_is_the_largest() -> None:
+    rows, columns = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
+    nonzeros, z = np.array([1.0, np.inf, 2.0, -3.0, 1.0]), np.array([1.0, 0.0, 1.0])
+    with np.errstate(invalid="ignore"):
+        np.testing.assert_array_equal(largest_terms(nonzeros, rows, columns, z, 2), [np.nan, 3.0])
 
 
 def test_other_values_of_parameters_build_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
