@@ -171,7 +171,7 @@ class ArclengthContinuation(Continuation):
         seen = [start] if past is None or not past.sigma < 0.0 else [start, past]
         places, values, slopes = (np.array(v) for v in zip(*(one[:3] for one in seen), strict=True))
         t = start.slope / math.sqrt(weights @ start.slope**2)
-        curve, turning = interpolant(places, values, slopes), self.settings.layer_angles
+        curve, turning = interpolant(places.tolist(), values, slopes), self.settings.layer_angles
         return _Departure(moving.problem, start.z, t, weights, weights * t, curve, None, turning, moving)
 
     def _side_of(self, current: Point, problem: Problem) -> Side | None:

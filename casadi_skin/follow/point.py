@@ -139,11 +139,15 @@ def predictor(points: Array, row: Array) -> Callable[[float], Array]:
     places, slopes, n = ((values - values[0]) @ row).tolist(), (tangents @ row).tolist(), 1
     while n < len(points) and places[n] < places[n - 1] and slopes[n] > ALIGNED_COSINE:
         n += 1
-    known = points[:n].reshape(2 * n, -1)
+    return interpolant(places[:n], values[:n], tangents[:n] / np.array(slopes[:n])[:, None])
 
-    def at(sigma: float) -> Array:
-        pairs = zip(hermite(places[:n], sigma), slopes, strict=False)
-        return np.asarray(np.array([weight for (own, rate), slope in pairs for weight in (own, rate / slope)]) @ known)
+
+def interpolant(places: Sequence[float], values: Array, slopes: Array) -> Callable[[float], Array]:
+    """The polynomial of least degree through values and slopes, each (places, unknowns)."""
+    known = np.concatenate([values, slopes])
+
+    def at(place: float) -> Array:
+        return np.asarray(np.ravel(hermite(places, place), order="F") @ known)
 
     return at
 
