@@ -547,7 +547,7 @@ class BoundarySpace(ParameterSpace):
 
     @of_last_points
     def multipliers_ahead(self, point: Point) -> Floquet:
-        """The same one step along its tangent: stretches on both sides of a point ask for its rates."""
+        """The same one step along its tangent: stretches of curves on both sides of a point ask for its rates."""
         return self.multipliers_alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))
 
     def _floquet(self, point: Point, by: str, with_errors: bool = True) -> Floquet:

@@ -32,7 +32,7 @@ from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import FULL_TURN, Exponents, turned
+from casadi_skin.stability.result import FULL_TURN, turned
 from casadi_skin.zero.kinds import BRANCH_POINT, CROSSING_KINDS, FOLD, KREIN, TORUS, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
@@ -418,8 +418,7 @@ class Ledger:
         self.space = space
         self.changes: list[StabilityChange] = []
         self.unresolved: list[Unresolved] = []
-        self._ends: Sequence[tuple[Point, Exponents]] = ()  # of the last stretch
-        self._length = 1.0
+        self._sampler: ExponentSampler | None = None  # of the last stretch
         self._count: int | None = None  # n_u behind the last solution; None where it is not known
 
     def between(self, before: Solution, after: Solution, leaving: bool = False) -> Iterator[Solution]:
@@ -448,11 +447,10 @@ class Ledger:
         if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, critical_angle(before.point.special, before))
         self._count = start
-        past = self._ends[0] if self._ends and self._ends[-1][0] is first.point else None
-        self._ends = [(end.point, end.floquet().exponents) for end in (first, last)]
-        before_it, self._length = self._length, self.space.point_solver.length(first.point, last.point)
-        sampler = ExponentSampler(self.space, *self._ends, past=past, longer=self._length / before_it)
-        events, gaps = events_between(self.space, sampler)
+        ends = [(end.point, end.floquet().exponents) for end in (first, last)]
+        length = self.space.point_solver.length(first.point, last.point)
+        self._sampler = ExponentSampler(self.space, *ends, length=length, before=self._sampler)
+        events, gaps = events_between(self.space, self._sampler)
         self.unresolved += gaps
         for event in events:
             self._passed(event.solution, self._count, self._count + event.jump, event.angle)

@@ -74,10 +74,10 @@ class Sample:
 
     def along(self, row: Array) -> tuple[float, float, float]:
         """By sigma = row . z: that of the length along the branch, and two derivatives of the parameter."""
-        curved = np.zeros_like(row) if self.bend is None else self.bend
-        rate, bend = float(row @ self.point.tangent), float(row @ curved)
-        t, b = self.point.tangent[-1], curved[-1]
-        return 1.0 / rate, float(t / rate), float((b * rate - t * bend) / rate**3)
+        rate, t = float(row @ self.point.tangent), float(self.point.tangent[-1])
+        if self.bend is None:
+            return 1.0 / rate, t / rate, 0.0
+        return 1.0 / rate, t / rate, float((self.bend[-1] * rate - t * (row @ self.bend)) / rate**3)
 
 
 SAMPLE_FRACTION = (

@@ -351,21 +351,23 @@ class ExponentSampler:
     Attributes:
         space: of the points, with the multipliers at one and beside it on its tangent, without their errors: these take
             a fraction of the time.
-        past: the point before the stretch with its exponents; None where none is known.
+        ends: both ends of it with their exponents: other points take the errors that are larger there.
+        length: that of the stretch.
+        past: the point before the stretch, likewise; None where none is known.
         longer: times the stretch from there: the length of this one.
-        ends: both ends of it, likewise: other points take the errors that are larger there.
     """
 
     def __init__(
-        self,
-        space: Any,
-        *ends: tuple[Point, Exponents],
-        past: tuple[Point, Exponents] | None = None,
-        longer: float = 1.0,
+        self, space: Any, *ends: tuple[Point, Exponents], length: float = 1.0, before: ExponentSampler | None = None
     ) -> None:
-        self.space, self.past, self.longer, self.ends = space, past, longer, ends
-        known = ends if past is None else (past, *ends)
+        """`before` is the sampler of an earlier stretch: where that ends at the start of this one rates are known."""
+        self.space, self.ends, self.length, self.past, self.longer = space, ends, length, None, 1.0
+        self._ahead = dict[int, tuple[Exponents, Exponents]]()
+        if before is not None and before.ends[-1][0] is ends[0][0]:
+            self.past, self.longer, self._ahead = before.ends[0], length / before.length, before._ahead
+        known = ends if self.past is None else (self.past, *ends)
         self._known = {id(point): (point, exponents) for point, exponents in known}
+        self._ahead = {place: found for place, found in self._ahead.items() if place in self._known}
 
     def is_far(self) -> bool:
         """Whether multipliers stay away from the circle, by their changes since the point before, without any rates."""
@@ -386,8 +388,10 @@ class ExponentSampler:
 
     def exponents(self, point: Point) -> tuple[Exponents, Exponents]:
         """The same, and those one step along its tangent in the same order."""
-        here, ahead = self.here(point), self.space.multipliers_ahead(point).exponents.values
-        return here, Exponents(ahead[nearest_order(here.values, ahead)], here.noise)
+        if id(point) not in self._ahead:
+            here, ahead = self.here(point), self.space.multipliers_ahead(point).exponents.values
+            self._ahead[id(point)] = here, Exponents(ahead[nearest_order(here.values, ahead)], here.noise)
+        return self._ahead[id(point)]
 
     def _alone(self, point: Point) -> Exponents:
         """Exponents with the errors of the nearest ones at the ends."""

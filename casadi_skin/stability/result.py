@@ -347,7 +347,7 @@ class Exponents:
     def pairs(self) -> Indices | None:
         """Places of mu and of 1/mu, shape (m / 2, 2); None where multipliers are not such pairs."""
         left, found = list(range(self.values.size)), []
-        if len(left) % 2:
+        if len(left) % 2 or abs(self.values.real.sum()) > len(left) * (RECIPROCAL_RTOL + RECIPROCAL_NOISE):
             return None
         while left:
             k = max(left, key=lambda place: abs(self.values[place].real))
@@ -383,4 +383,4 @@ class Exponents:
 
 def turned(values: ComplexArray, turn: float = FULL_TURN) -> ComplexArray:
     """Logarithms with imaginary parts in [-pi, pi]; eigenvalues, whose turn is infinite, as they are."""
-    return np.asarray(values - 1j * turn * np.round(values.imag / turn)) if np.isfinite(turn) else values
+    return np.asarray(values - 1j * turn * np.rint(values.imag / turn)) if np.isfinite(turn) else values

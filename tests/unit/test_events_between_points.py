@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -38,7 +38,6 @@ class Line:
     growth: Growth
     sets: int = 0
     corrected: int = 0
-    rates: dict[int, Any] = field(default_factory=dict)
 
     def exponents(self, point: Point) -> Exponents:
         s = float(point.z[0])
@@ -49,9 +48,7 @@ class Line:
         return SimpleNamespace(exponents=self.exponents(point))
 
     def ahead(self, point: Point) -> Any:
-        if id(point) not in self.rates:
-            self.rates[id(point)] = point, self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))
-        return self.rates[id(point)][1]
+        return self.alone(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))
 
     def metric(self, *_: Any) -> Any:
         return np.ones(1)
@@ -67,12 +64,11 @@ class Line:
         """The number of events between points at places, in order."""
         space: Any = SimpleNamespace(point_solver=self, multipliers_alone=self.alone, multipliers_ahead=self.ahead)
         space.parameter, space.value = "s", lambda name, point: float(point.z[0])
-        known, found, past, before = [(point, self.exponents(point)) for point in map(at, places)], 0, None, 1.0
+        known, found, sampler = [(point, self.exponents(point)) for point in map(at, places)], 0, None
         for ends in pairwise(known):
             length = float(ends[1][0].z[0] - ends[0][0].z[0])
-            sampler = ExponentSampler(space, *ends, past=past, longer=length / before)
+            sampler = ExponentSampler(space, *ends, length=length, before=sampler)
             found += len(events_between(space, sampler)[0])
-            past, before = ends[0], length
         return found
 
 
