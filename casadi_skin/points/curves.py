@@ -207,7 +207,8 @@ def shrunk(space: OrbitCurveSpace, before: Point, after: Point) -> Point | None:
     smaller, _, equilibria, born = near
     at = dict(equilibria.problem.named(born.resting))
     resting = find_equilibrium(space.model, equilibria.problem.state(born.resting), parameters=at)
-    resting = replace(resting, space=replace(resting.space, parameter=name, to=at[name] + unit))
+    known = replace(resting.space, sizes=equilibria.sizes, parameter=name, to=at[name] + unit)  # one at zero has none
+    resting = replace(resting, space=known)
     hopf = SpecialPoint(HOPF, name, at, born.error * unit, resting)
     start, span = hopf.parameters[space.parameter], space.to - space.statement.values[space.parameter]
     found = list[SpecialPoint]()
