@@ -34,6 +34,7 @@ from casadi_skin.model.integrators import IntegrationError
 from casadi_skin.model.jumps import STATE, TIME, JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import NoQuantityError
+from casadi_skin.solve.intervals import Intervals
 from casadi_skin.solve.ipopt import CORRECTORS, ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector, in_family, rank_deficiency
@@ -564,7 +565,14 @@ class BoundarySpace(ParameterSpace):
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""
-        return vectors_of(np.asarray(floquet.monodromy), floquet.multipliers)
+        return vectors_of(self.monodromy(point, floquet), floquet.multipliers)
+
+    def monodromy(self, point: Point, floquet: Floquet) -> Array:
+        """The matrix over the full period, of large systems formed for the purpose, shape (n, n)."""
+        if floquet.monodromy is not None:
+            return floquet.monodromy
+        problem, n = stated(point.problem), self.model.full_size
+        return Intervals.by_radau(problem, point.z, n, np.ones(n)).carried(np.eye(n))
 
     def _orbit_of(self) -> Periodic:
         if self.periodic is None:

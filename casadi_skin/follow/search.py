@@ -355,19 +355,23 @@ class ExponentSampler:
         length: that of the stretch.
         past: the point before the stretch, likewise; None where none is known.
         longer: times the stretch from there: the length of this one.
+        count: how many exponents every point has: of large systems leading ones, not as many everywhere.
     """
 
     def __init__(
         self, space: Any, *ends: tuple[Point, Exponents], length: float = 1.0, before: ExponentSampler | None = None
     ) -> None:
         """`before` is the sampler of an earlier stretch: where that ends at the start of this one rates are known."""
+        self.count = min((exponents.values.size for _, exponents in ends), default=0)
+        ends = tuple((point, exponents.of_size(self.count)) for point, exponents in ends)
         self.space, self.ends, self.length, self.past, self.longer = space, ends, length, None, 1.0
         self._ahead = dict[int, tuple[Exponents, Exponents]]()
         if before is not None and before.ends[-1][0] is ends[0][0]:
             self.past, self.longer, self._ahead = before.ends[0], length / before.length, before._ahead
         known = ends if self.past is None else (self.past, *ends)
         self._known = {id(point): (point, exponents) for point, exponents in known}
-        self._ahead = {place: found for place, found in self._ahead.items() if place in self._known}
+        of_size = {place: found for place, found in self._ahead.items() if found[0].values.size == self.count}
+        self._ahead = {place: found for place, found in of_size.items() if place in self._known}
 
     def is_far(self) -> bool:
         """Whether multipliers stay away from the circle, by their changes since the point before, without any rates."""
@@ -389,13 +393,13 @@ class ExponentSampler:
     def exponents(self, point: Point) -> tuple[Exponents, Exponents]:
         """The same, and those one step along its tangent in the same order."""
         if id(point) not in self._ahead:
-            here, ahead = self.here(point), self.space.multipliers_ahead(point).exponents.values
+            here, ahead = self.here(point), self.space.multipliers_ahead(point).exponents.of_size(self.count).values
             self._ahead[id(point)] = here, Exponents(ahead[nearest_order(here.values, ahead)], here.noise)
         return self._ahead[id(point)]
 
     def _alone(self, point: Point) -> Exponents:
         """Exponents with the errors of the nearest ones at the ends."""
-        values = self.space.multipliers_alone(point).exponents.values
+        values = self.space.multipliers_alone(point).exponents.of_size(self.count).values
         noise = [end.noise[nearest_order(values, end.values)] for _, end in self.ends]
         return Exponents(values, np.max(noise, axis=0))
 

@@ -53,7 +53,7 @@ from casadi_skin.zero.statement import Statement
 
 STEADY_RATE_RATIO = 0.5  # of the largest rate on a stretch: the least one for which nothing turns back within it
 STILL_RATE = 1e-9  # rate of a quantity that does not change
-BESIDE_STILL = 0.05  # of a stretch, from a start that a branch leaves upright: beside it rates are rounding
+BESIDE_STILL = 0.05, 0.2, 0.5  # of a stretch, from a start that a branch leaves upright: beside it rates are rounding
 # Of the least rate at the samples: how far the mean rate may be off. Of 40 random dips with two folds 19 are found
 # without this, 27 with 0.03, 30 with 0.01, 31 with 0.003 and with 0; nine are found with none of these.
 HIDDEN_TURN_RATIO = 0.003
@@ -74,9 +74,27 @@ def turning(point_solver: PointSolver, before: Point, after: Point) -> list[tupl
     if still or (steady and np.all(rates * rates[0] > 0.0)):
         return []
     if rate(before) == 0.0:
-        before = point_solver.unrefined_along(before, after, BESIDE_STILL) or before
+        before = _beside_still(point_solver, before, after, length) or before
     search = _Turns(point_solver, before, after)
     return search.on_stretch()
+
+
+def _beside_still(point_solver: PointSolver, start: Point, after: Point, length: float) -> Point | None:
+    """The first place beside a start that a branch leaves upright where rounding leaves digits of the rate."""
+    found = None
+    for fraction in BESIDE_STILL:
+        found, nearer = point_solver.unrefined_along(start, after, fraction), found
+        if found is None:
+            return nearer
+        problem, z = found.problem, found.z
+        try:
+            solve = point_solver.factor(problem, z, point_solver.metric(problem, z) * found.tangent)
+        except SingularError:
+            continue
+        off = abs(float(solve(np.append(problem.evaluate(z)[0], 0.0))[problem.parameter_index]))
+        if off <= HIDDEN_TURN_RATIO * abs(rate(found)) * fraction * length:
+            break
+    return found
 
 
 def rate(point: Point) -> float:

@@ -283,7 +283,7 @@ def _across(orbit: Orbit, vector: Array) -> Array:
 
 def critical_vector(orbit: Orbit) -> Array:
     """The vector of norm 1 that the monodromy matrix leaves as it is, across the motion along the orbit."""
-    monodromy = np.asarray(orbit.floquet().monodromy)
+    monodromy = orbit.space.monodromy(orbit.point, orbit.floquet())
     vectors = np.linalg.svd(monodromy - np.eye(len(monodromy)))[2][::-1]
     if orbit.floquet().trivial == 0:
         return np.asarray(vectors[0])

@@ -11,6 +11,7 @@ SuperLU, collocation of many states in an order that the model's own pattern det
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,8 +21,11 @@ from numpy.typing import NDArray
 
 from casadi_skin.native import MOST, BorderedKernel, Structure, give_back, kernels
 from casadi_skin.native.collocation import CollocationKernel
+from casadi_skin.solve.intervals import MANY_STATES, IntervalFactors
 from casadi_skin.zero.collocation import CollocationEquations
+from casadi_skin.zero.half_plane import is_odd
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
+from casadi_skin.zero.stated_problem import BoundaryProblem
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
@@ -89,19 +93,7 @@ class SparseFactors:
     def orientation(self) -> float:
         """The sign of the determinant, 0 where it vanishes."""
         factors, permutations = self._factors, [self._factors.perm_r, self._factors.perm_c, self._columns]
-        return float(np.prod([_parity(p) for p in permutations]) * np.prod(np.sign(factors.U.diagonal())))
-
-
-def _parity(permutation: Indices) -> float:
-    """1 for an even permutation, -1 for an odd one, by its cycles."""
-    seen, sign = np.zeros(permutation.size, dtype=bool), 1.0
-    for start in range(permutation.size):
-        length, place = 0, start
-        while not seen[place]:
-            seen[place], place, length = True, int(permutation[place]), length + 1
-        if length and length % 2 == 0:
-            sign = -sign
-    return sign
+        return float((-1.0) ** sum(map(is_odd, permutations)) * np.prod(np.sign(factors.U.diagonal())))
 
 
 SINGULAR_GROWTH = 1e12  # growth of residuals, in units of both (`Problem.units_at`), that only a singular matrix gives
@@ -110,6 +102,7 @@ LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals 
 DENSE_UNKNOWNS = 24  # up to which dense factors take less time than sparse ones, measured
 # States: blocks between ends of intervals of more fill the factors, in another order 2 to 10 times less.
 MOST_ORDERED = 200
+MOST_FAILED = 3  # times in a row that a matrix is not solved by its intervals
 ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries of matrix and solution
 
 
@@ -217,6 +210,10 @@ class BorderedSolver:
         self._probes = np.zeros((size, 3))
         self._probes[-1, 0], self._probes[:-1, 1:] = 1.0, problem.probe[:, None]
         self._collocation = _collocation_kernel(problem)
+        self._failed = 0
+        self._by_intervals: BoundaryProblem | None = None
+        if isinstance(problem, BoundaryProblem) and problem.formulation.states >= MANY_STATES:
+            self._by_intervals = problem if problem.equations == size - 1 else None
 
     @staticmethod
     def of(problem: Problem) -> BorderedSolver:
@@ -275,10 +272,18 @@ class BorderedSolver:
         condensed = self._condensed(nonzeros, row, z)
         if condensed is not None:
             return condensed
-        solve = self.unchecked(nonzeros, row)
         sizes, residuals = self.problem.units_at(z, nonzeros)
         probes = self._probes.copy()
         probes[:-1, 1] *= residuals
+        problem = self._by_intervals
+        if problem is not None and self._failed < MOST_FAILED:  # of a system that dissipates
+            with suppress(SingularError):
+                by_intervals = IntervalFactors(problem, nonzeros, row, problem.sizes_at(z)[0])
+                if self._accurate(by_intervals(probes), sizes, nonzeros, row):
+                    self._failed = 0
+                    return by_intervals
+            self._failed += 1
+        solve = self.unchecked(nonzeros, row)
         if not self._accurate(solve(probes), sizes, nonzeros, row):
             raise SingularError(
                 "the Jacobian with its border is singular: two families meet, a fold in the held unknown, or sizes "

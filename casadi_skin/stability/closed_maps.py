@@ -378,17 +378,19 @@ COUPLED_ENTRY_RATIO = 1e-8  # of a product's largest diagonal entry: entries tha
 class Multipliers:
     """Trivial multipliers and the others, with what rounding makes of these, shape of the others.
 
-    `matrix` times exp(`size`) is the product of the maps, and `norm` its size in balanced units, no less than 1; `lost`
-    is whether maps have lost digits of multipliers far from 1.
+    `matrix` times exp(`size`) is the product of the maps, None where it is not formed, and `norm` its size in balanced
+    units, no less than 1; `lost` is whether maps have lost digits of multipliers far from 1. No multiplier is left out
+    whose modulus is above `beyond`.
     """
 
     trivial: Spectrum
     others: Spectrum
     rounding: Array
-    matrix: Array
+    matrix: Array | None
     size: float
     norm: float
     lost: bool = False
+    beyond: float = 0.0
 
     def but(self, others: Multipliers, chosen: NDArray[np.bool_]) -> Multipliers:
         """These with some of the others taken from other maps."""

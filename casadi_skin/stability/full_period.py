@@ -11,6 +11,7 @@ The error of a multiplier is its distance from that of a better solution, and wh
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -21,6 +22,7 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.integrators import CvodesError, IntegrationError, Trajectory
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import METHOD, MOST_STATES, Structure, kernels
+from casadi_skin.solve.intervals import MANY_STATES
 from casadi_skin.stability.closed_maps import (
     FAR_LOG_EIGENVALUE,
     Multipliers,
@@ -34,7 +36,8 @@ from casadi_skin.stability.closed_maps import (
     units_of,
     vectors_along,
 )
-from casadi_skin.stability.flows import LOCAL_TOLERANCE_RATIO, TIGHTEST_LOCAL_TOLERANCE, transition_by_cvodes
+from casadi_skin.stability.flows import LOCAL_TOLERANCE_RATIO, TIGHTEST_LOCAL_TOLERANCE, FlowError, transition_by_cvodes
+from casadi_skin.stability.leading import FEWEST, ManyLeadingError, leading_multipliers
 from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Indices
@@ -42,6 +45,7 @@ from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, 
 
 # The error of each multiplier, from those of a better solution: what its discretisation, and the orbit's, are off by
 
+MOST_DENSE = 400  # states of which dense maps are made where too many multipliers are not small
 DISTANCE_SAFETY = 2.0  # distances to the better solution are the error up to the error of that
 LEAST_ERROR_RATIO = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
 TRIVIAL_DRIFT = 100.0  # tolerances, times the size of the balanced monodromy matrix: of the trivial multiplier
@@ -68,8 +72,8 @@ def judged(
     return Floquet(
         np.concatenate([near, others]), np.concatenate([found.trivial.logs, found.others.logs]), near.size, deviation,
         errors, on_circle, np.abs(others.imag) <= errors, error, largest, np.empty(0, complex), np.empty(0),
-        monodromy=found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)), lost=found.lost,
-        allowed_deviation=float(TRIVIAL_DRIFT * tolerance * found.norm),
+        monodromy=None if found.matrix is None else found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)),
+        lost=found.lost, allowed_deviation=float(TRIVIAL_DRIFT * tolerance * found.norm), beyond=found.beyond,
     )  # fmt: skip
 
 
@@ -331,11 +335,35 @@ def _same(one: Array, other: Array) -> bool:
 
 def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
     """Multipliers from the interval maps of the linearised equations; `better` is the orbit on a finer mesh."""
+    if orbit.size >= MANY_STATES and orbit.is_whole and orbit.turn is None:
+        with suppress(ManyLeadingError):
+            return _by_leading(orbit, better, tolerance)
     found = _multipliers(orbit, tolerance, with_rounding=better is not None)
     if better is None:
         return judged(found, None, tolerance)
     finer = _multipliers(better, tolerance, with_rounding=False)
     return judged(found, finer, tolerance, orbit.problem.left_by(better.problem))
+
+
+def _by_leading(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
+    """The leading multipliers alone; raises ManyLeadingError, of more states than dense maps are made of FlowError."""
+
+    def found(of: Closed, least: int, checked: bool) -> Multipliers:
+        return leading_multipliers(of.problem, of.z, of.trivial(tolerance), units_of(of.ends), least, checked)
+
+    try:
+        own = found(orbit, FEWEST, better is not None)
+        if 1.0 <= own.beyond < np.inf and orbit.size <= MOST_DENSE:
+            raise ManyLeadingError("some multipliers outside the unit circle may not be in the list")
+    except ManyLeadingError as error:
+        if orbit.size > MOST_DENSE:
+            raise FlowError(str(error)) from error
+        raise
+    try:
+        finer = None if better is None else found(better, own.others.logs.size, False)
+    except ManyLeadingError:  # of a solution that is none, as beside a Hopf point
+        finer = None
+    return judged(own, finer, tolerance, 0.0 if better is None else orbit.problem.left_by(better.problem))
 
 
 def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multipliers:

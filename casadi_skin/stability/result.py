@@ -59,6 +59,8 @@ class Floquet(Result):
         monodromy: matrix over the full period at phase zero, shape (n, n); None where it was not formed.
         allowed_deviation: largest `trivial_deviation` of multipliers that can be trusted.
         lost: whether maps over intervals have lost digits of multipliers that are far from 1.
+        beyond: no multiplier that is left out has a larger modulus: of large systems the leading ones alone are
+            computed. 0 where all are in the list, infinite where no bound was computed.
         blurred: how many multipliers are smaller than the errors of sensitivities: their logarithms are not known.
     """
 
@@ -80,6 +82,7 @@ class Floquet(Result):
     allowed_deviation: float = np.inf
     lost: bool = False
     blurred: int = 0
+    beyond: float = 0.0
 
     def __repr__(self) -> str:
         largest = f"largest modulus {self.max_abs_multiplier:.8g}, " if self.others.size else ""
@@ -106,8 +109,10 @@ class Floquet(Result):
 
     @property
     def stable(self) -> bool:
-        """Whether no multiplier lies outside the unit circle, within estimated errors."""
-        return self.counted == 0 if self.counted is not None else not np.any(self.outside)
+        """Whether no multiplier lies outside the unit circle, within estimated errors, of those left out either."""
+        if self.counted is not None:
+            return self.counted == 0
+        return not (np.any(self.outside) or 1.0 <= self.beyond < np.inf)
 
     @property
     def listed(self) -> int:
@@ -342,6 +347,15 @@ class Exponents:
 
     values: ComplexArray
     noise: Array
+
+    def of_size(self, count: int) -> Exponents:
+        """So many of the largest modulus; in place of those that are left out the smallest modulus of the list."""
+        size = self.values.size
+        if count == size:
+            return self
+        places = np.argsort(-self.values.real, kind="stable")[np.minimum(np.arange(count), size - 1)]
+        values = np.where(np.arange(count) < size, self.values[places], self.values[places].real)
+        return Exponents(values, self.noise[places])
 
     @cached_property
     def pairs(self) -> Indices | None:

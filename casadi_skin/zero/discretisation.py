@@ -367,7 +367,11 @@ class Discretisation:
 
     def jacobians_at(self, *arguments: Array) -> Array:
         """The same at (s, x, scalars, constants), as many places as there are stages and one more."""
-        return self._dense(self._field(*arguments)[1].reshape(self._K * self._d + 1, -1))
+        return self._dense(self.derivatives_at(*arguments))
+
+    def derivatives_at(self, *arguments: Array) -> Array:
+        """The non-zeros of these."""
+        return self._field(*arguments)[1].reshape(self._K * self._d + 1, -1)
 
     def _dense(self, nonzeros: Array) -> Array:
         found = np.zeros((len(nonzeros), self._n, self._n))

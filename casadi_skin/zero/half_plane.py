@@ -235,11 +235,11 @@ class _Shifted:
     def angle(self, z: complex) -> float:
         """The argument of the determinant of z - B, of a number of turns that is not known."""
         factors = self.factors(z)
-        odd = sum(_is_odd(permutation) for permutation in (factors.perm_r, factors.perm_c))
+        odd = sum(is_odd(permutation) for permutation in (factors.perm_r, factors.perm_c))
         return float(np.sum(np.angle(-factors.U.diagonal())) + np.pi * odd)
 
 
-def _is_odd(permutation: Any) -> int:
+def is_odd(permutation: Any) -> int:
     """Whether a permutation is odd, by the number of its cycles."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
