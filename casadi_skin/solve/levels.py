@@ -11,7 +11,7 @@ resolves the former at once, and repeated equidistribution (de Boor 1973; Ascher
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def estimated(
     ways = [None if along is None or which is not None else along[i] for i, which in enumerate(held)]
 
     def back(steps: Array) -> Array:
-        return np.stack([at_parameter(finer, *one) for one in zip(long_z, steps, ways, strict=True)])
+        return np.array([at_parameter(finer, *one) for one in zip(long_z, steps, ways, strict=True)])
 
     steps, noise, found = back(on_finer.steps), None, list[Measured]()
     better = long_z - steps
@@ -87,25 +87,26 @@ def estimated(
     for i, which in enumerate(held):
         Omega, by_Omega = problem.frequency(z[i]), which is Scalar.OMEGA
         moves = by_Omega or (ways[i] is not None and steps[i, finer.parameter_index] != 0.0)
-        error = step_error(finer, long_z[i], steps[i], moves, changes[i])
+        error, floor = step_error(finer, long_z[i], steps[i], moves, changes[i]), 0.0
         least = problem.round_off * Omega
         if between is not None:  # a step is right up to its square, and that of Omega goes through zero
             least = max(least, error.profile**2 * Omega)
-        error = replace(error, Omega=max(error.Omega, least))
-        if error.relative(Omega) < NEAR_ROUND_OFF:  # it is at least that by rounding, of the residual and constants
+        parts = [max(error.Omega, least), error.profile, error.parameter]
+        if max(parts[0] / Omega, *parts[1:]) < NEAR_ROUND_OFF:  # at least that by rounding, of residual and constants
             if noise is None:
                 noise = back(on_finer.response())
                 rounded = finer.profile_changes(long_z, noise).tolist()
-            floor = step_error(finer, long_z[i], noise[i], moves, rounded[i])
-            floor = replace(
-                floor, Omega=max(floor.Omega, problem.round_off * Omega), profile=max(floor.profile, problem.round_off)
-            )
-            parameter = max(error.parameter, floor.parameter)
+            own = step_error(finer, long_z[i], noise[i], moves, rounded[i])
+            by_rounding = [
+                max(own.Omega, problem.round_off * Omega),
+                max(own.profile, problem.round_off),
+                own.parameter,
+            ]
+            floor = max(by_rounding[0] / Omega, *by_rounding[1:])
             if by_Omega and tangents is not None:
-                parameter = max(parameter, _by_constants(problem, z[i], tangents[i]))
-            largest = max(error.Omega, floor.Omega), max(error.profile, floor.profile)
-            error = ErrorEstimate(*largest, floor.relative(Omega), parameter)
-        found.append((error, Refinement(finer, better[i])))
+                by_rounding[2] = max(own.parameter, _by_constants(problem, z[i], tangents[i]))
+            parts = list(map(max, parts, by_rounding))
+        found.append((ErrorEstimate(parts[0], parts[1], floor, parts[2]), Refinement(finer, better[i])))
     return found
 
 

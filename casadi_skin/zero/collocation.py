@@ -289,7 +289,7 @@ class CollocationEquations(Problem):
 
     def expected_error(self, z: Array, error: float, other: Problem) -> float:
         parts = self.constants * self._density(z)
-        growth = float(np.sum(parts)) / other.resolution / float(np.max(parts))
+        growth = float(parts.sum() / parts.max()) / other.resolution
         return error * growth ** (self.degree + 1)
 
 

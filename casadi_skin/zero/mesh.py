@@ -112,7 +112,7 @@ def equidistributed(lengths: Array, wanted: Array, intervals: int) -> Array:
 def imbalance(lengths: Array, wanted: Array) -> float:
     """Largest over mean part of the density that an interval holds; 1 where it is spread evenly."""
     parts = lengths * wanted
-    return float(np.max(parts) / np.mean(parts))
+    return float(parts.max() * parts.size / parts.sum())
 
 
 def with_edges(lengths: Array, places: Array) -> Array:
@@ -120,9 +120,12 @@ def with_edges(lengths: Array, places: Array) -> Array:
 
     As it is where they are edges already, or are more than there are edges between the intervals.
     """
-    ends, inner = edges(lengths), lengths.size - 1
+    inner = lengths.size - 1
+    if places.size > inner or not places.size:
+        return lengths
+    ends = edges(lengths)
     nearest = np.interp(places, ends, np.arange(ends.size))
-    if places.size > inner or not places.size or np.all(np.abs(ends[np.round(nearest).astype(int)] - places) < ON_EDGE):
+    if np.all(np.abs(ends[np.round(nearest).astype(int)] - places) < ON_EDGE):
         return lengths
     order = np.arange(places.size)
     chosen = np.maximum.accumulate(np.round(nearest) - order) + order  # each place its own edge
