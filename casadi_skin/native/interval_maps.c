@@ -11,7 +11,7 @@
 
 #include "kernel.h"
 
-enum { LANES = 8, SPECTRAL_SQUARINGS = 3, MOST_STATES = 16 };
+enum { LANES = 8, TOGETHER = 4, SPECTRAL_SQUARINGS = 3, MOST_STATES = 16 };
 static const double MOST_GROWTH = 16.0; /* of factors without exchanges; measured: as accurate as with them */
 static const double SMALLEST_RATE_RATIO = 1e-30; /* with the two above as in full_period.py */
 typedef double lanes[LANES];
@@ -67,19 +67,46 @@ static inline void product(int64_t n, lanes *restrict x, const lanes *restrict A
             add(n, x + i * n, A[i * n + k], y + k * n);
 }
 
-/* Factors of a matrix (N, N) in its place, multipliers below; the largest of these of each lane. */
+/* x += f_0 y_0 + f_1 y_1 + .. of `many` rows y, `apart` lanes from one to the next: x is read and written once. */
+static inline __attribute__((always_inline)) void add_rows(int64_t count, lanes *restrict x, const int many,
+                                                           const lanes *f, const lanes *restrict y, int64_t apart)
+{
+    for (int64_t j = 0; j < count; j++) {
+        lanes sum;
+        memcpy(sum, x[j], sizeof sum);
+        for (int m = 0; m < many; m++)
+            EACH sum[l] += f[m][l] * y[m * apart + j][l];
+        memcpy(x[j], sum, sizeof sum);
+    }
+}
+
+static inline void add_some(int64_t count, lanes *x, int64_t many, const lanes *f, const lanes *y, int64_t apart)
+{
+    switch (many) {
+    case 4: add_rows(count, x, 4, f, y, apart); break;
+    case 3: add_rows(count, x, 3, f, y, apart); break;
+    case 2: add_rows(count, x, 2, f, y, apart); break;
+    default: add_rows(count, x, 1, f, y, apart); break;
+    }
+}
+
+/* Factors of a matrix (N, N) in its place, row by row with TOGETHER pivots at a time: multipliers below, with the other
+   sign, and inverses of pivots on the diagonal; the largest multiplier of each lane. */
 static void factor(int64_t N, lanes *A, double *growth)
 {
-    for (int64_t k = 0; k < N; k++) {
-        lanes inverse, f;
-        EACH inverse[l] = 1.0 / A[k * N + k][l];
-        for (int64_t i = k + 1; i < N; i++) {
-            EACH f[l] = -A[i * N + k][l] * inverse[l];
-            EACH growth[l] = growth[l] >= fabs(f[l]) ? growth[l] : fabs(f[l]); /* NaN stays */
-            EACH A[i * N + k][l] = f[l];
-            add(N - k - 1, A + i * N + k + 1, f, A + k * N + k + 1);
+    for (int64_t i = 0; i < N; i++) {
+        lanes *row = A + i * N;
+        for (int64_t k = 0; k < i; k += TOGETHER) {
+            const int64_t many = i - k < TOGETHER ? i - k : TOGETHER;
+            for (int64_t j = k; j < k + many; j++) {
+                if (j > k)
+                    add_some(1, row + j, j - k, row + k, A + k * N + j, N);
+                EACH row[j][l] *= -A[j * N + j][l];
+                EACH growth[l] = growth[l] >= fabs(row[j][l]) ? growth[l] : fabs(row[j][l]); /* NaN stays */
+            }
+            add_some(N - k - many, row + k + many, many, row + k, A + k * N + k + many, N);
         }
-        EACH A[k * N + k][l] = inverse[l];
+        EACH row[i][l] = 1.0 / row[i][l];
     }
 }
 
@@ -87,13 +114,15 @@ static void factor(int64_t N, lanes *A, double *growth)
 static void solve(int64_t N, int64_t n, const lanes *A, lanes *x)
 {
     for (int64_t i = 1; i < N; i++)
-        for (int64_t k = 0; k < i; k++)
-            add(n, x + i * n, A[i * N + k], x + k * n);
+        for (int64_t k = 0; k < i; k += TOGETHER)
+            add_some(n, x + i * n, i - k < TOGETHER ? i - k : TOGETHER, A + i * N + k, x + k * n, n);
     for (int64_t i = N - 1; i >= 0; i--) {
-        for (int64_t k = i + 1; k < N; k++) {
-            lanes f;
-            EACH f[l] = -A[i * N + k][l];
-            add(n, x + i * n, f, x + k * n);
+        for (int64_t k = i + 1; k < N; k += TOGETHER) {
+            const int64_t many = N - k < TOGETHER ? N - k : TOGETHER;
+            lanes f[TOGETHER];
+            for (int64_t m = 0; m < many; m++)
+                EACH f[m][l] = -A[i * N + k + m][l];
+            add_some(n, x + i * n, many, f, x + k * n, n);
         }
         for (int64_t j = 0; j < n; j++)
             EACH x[i * n + j][l] *= A[i * N + i][l];
