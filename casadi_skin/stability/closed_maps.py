@@ -260,10 +260,11 @@ class Trivial:
         right, left = (
             np.concatenate(each) for each in ((right, self.right[first.size :]), (left, self.left[first.size :]))
         )
-        for turn in range(1, np.max(counts)):
+        most = int(np.max(counts))
+        for turn in range(1, most if right.shape[1] else 1):
             there = first[counts > turn] + turn
             right[there] = right[there - 1] @ maps[there - 1].swapaxes(1, 2)
-        for turn in range(np.max(counts) - 1, 0, -1):
+        for turn in range(most - 1 if left.shape[1] else 0, 0, -1):
             there = first[counts > turn] + turn
             left[there] = left[there + 1] @ maps[there]
         return replace(self, right=right, left=left)

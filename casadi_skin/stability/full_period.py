@@ -196,14 +196,12 @@ def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -
     lengths, table = problem.constants[interval] / parts, problem.table
     starts = np.append(0.0, np.cumsum(lengths)[:-1])
     places = (starts[:, None] + lengths[:, None] * table.nodes).ravel()
-    states = problem.sample(z, places)
-    scalars, values, together = z[problem.states :], problem.values, problem.resolution * problem.degree + 1
-    finer = []
-    for these in np.split(np.arange(places.size), np.arange(together, places.size, together)):
-        chosen = np.resize(these, together)  # of the same number as the equations evaluate together
-        found = problem.discretisation.jacobians_at(places[chosen, None], states[chosen], scalars, values)
-        finer.append(found[: these.size, :n, :n])
-    return interval_maps(np.concatenate(finer), lengths, table)[0]
+    together = problem.resolution * problem.degree + 1  # places that the equations evaluate together
+    chosen = np.minimum(np.arange(-(-places.size // together) * together), places.size - 1)
+    states, numbers = problem.sample(z, places)[chosen], (z[problem.states :], problem.values)
+    parted = places[chosen].reshape(-1, together, 1), states.reshape(-1, together, states.shape[1])
+    finer = [problem.discretisation.jacobians_at(*one, *numbers) for one in zip(*parted, strict=True)]
+    return interval_maps(np.concatenate(finer)[: lengths.size * problem.degree, :n, :n], lengths, table)[0]
 
 
 LEAST_LOCAL_TOLERANCE = 1e-12
