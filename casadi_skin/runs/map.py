@@ -483,7 +483,7 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     assert table is not None
     cells = grid.coarsest
     families = grid.families(cells)
-    (middle,) = grid.tasks(cells[families == families[len(cells) // 2]])
+    middle = next(grid.tasks(cells[families == families[len(cells) // 2]]))
     tasks = len(cells) // len(middle.cells)
     computer = Computer(plain(asked(scene, grid)), str(path.resolve()), table.growth)
     chosen = np.linspace(0, len(middle.cells) - 1, min(len(middle.cells), MEASURED_ORBITS)).astype(int).tolist()

@@ -12,9 +12,10 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -57,6 +58,8 @@ Named = Iterator[tuple[str, Any, str]]  # names, values and meanings of quantiti
 FAILED, DIED, LATE, LOST = "failed", "died", "late", "lost"  # kinds of faults; a computation reports the first itself
 OUTSIDE_FAULTS = (DIED, LATE, LOST)  # those that another run may not meet
 FAULTS = ("", FAILED, *OUTSIDE_FAULTS)
+SAME_ORBIT_RTOL = 1e-6  # of periods and largest values: the orbit of a branch is that of a cell's own start
+UNIT_MULTIPLIER_ATOL = 1e-4
 WATCHED = ("stable", "end")  # quantities where whose changes a map is refined unless it names others
 TEXTS = ("end", "end_reason", "first_tongue", "regime")  # quantities that are words
 
@@ -320,7 +323,10 @@ class Computer:
         return Result(kind=FAILED, reason=reason, seconds=time.perf_counter() - started)
 
     def _rows(self, task: Task) -> tuple[list[Row], dict[str, str]]:
-        scene, meanings = scene_at(self.tables, task.settings, task.amplitudes), dict[str, str]()
+        meanings = dict[str, str]()
+        if task.checked and len(task.values) > 1:
+            return Served(partial(self._request, task), task.along, task.values, meanings).rows, meanings
+        scene = scene_at(self.tables, task.settings, task.amplitudes)
         request = bind(started_at(scene, task), Path(self.path), self._files)
         if scene.search is not None:
             problem, table = request.searched, scene.search
@@ -330,6 +336,80 @@ class Computer:
             return list(served(request, task.along, task.values, meanings)), meanings
         branches, fault = followed(request)
         return list(rows_of(branches, fault, task.amplitudes, self.growth, meanings)), meanings
+
+    def _request(self, task: Task, value: float) -> Request:
+        """The scene of the cell at a value of the parameter that a task goes along."""
+        settings = [(path, value if path[-1] == task.along else other) for path, other in task.settings]
+        return bind(scene_at(self.tables, settings), Path(self.path), self._files)
+
+
+@dataclass
+class Served:
+    """Rows of orbits at values of a parameter: a branch serves those between two whose own starts lead to it.
+
+    Where it does not join these two, or has orbits between them that do not attract while they do, the stretch is
+    halved, and the cell there has its own start.
+    """
+
+    request: Callable[[float], Request]
+    name: str
+    values: Sequence[float]
+    meanings: dict[str, str]
+    solutions: dict[int, Solution] = field(default_factory=dict)
+    faults: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> list[Row]:
+        last = len(self.values) - 1
+        self._own(0)
+        self._own(last)
+        self._between(0, last)
+        return [self._row(k) for k in range(last + 1)]
+
+    def _own(self, k: int) -> None:
+        try:
+            self.solutions[k] = first_solution(self.request(self.values[k]))
+        except (ArithmeticError, ValueError) as error:
+            self.faults[k] = " ".join(str(error).split())
+
+    def _between(self, i: int, j: int) -> None:
+        if j - i < 2:
+            return
+        if i in self.solutions and j in self.solutions and (found := self._joining(i, j)) is not None:
+            self.solutions |= dict(zip(range(i + 1, j), found, strict=True))
+            return
+        self._own(k := (i + j) // 2)
+        self._between(i, k)
+        self._between(k, j)
+
+    def _joining(self, i: int, j: int) -> list[Solution] | None:
+        """Solutions between two cells on a branch from the first that comes to the second; None where it does not."""
+        wanted, end = self.values[i + 1 : j + 1], self.solutions[j]
+        try:
+            branch = self.solutions[i].follow(self.name, wanted[-1], at=wanted[:-1], events=False)
+        except (ArithmeticError, ValueError):
+            return None
+        found = [s for s in branch.solutions[1:] if s.point.requested or s is branch.solutions[-1]]
+        if [s.parameters[self.name] for s in found] != list(wanted):
+            return None
+        (*inner, last), names = found, [q for q in columns_of(branch) if q.name.endswith(("period", "_min", "_max"))]
+        one, other = (csv_row(names, Place(solution, 0, 0)) for solution in (last, end))
+        same = all(math.isclose(float(one[q.name]), float(other[q.name]), rel_tol=SAME_ORBIT_RTOL) for q in names)
+        if same and _attracts(last):
+            same = all(map(_attracts, inner))
+        return inner if same else None
+
+    def _row(self, k: int) -> Row:
+        if k not in self.solutions:
+            return Row({}, self.faults[k])
+        alone = Branches(self.request(self.values[k]), Progress(quiet=True)).alone(self.solutions[k])
+        (row,) = rows_of([alone], "", (), 0.0, self.meanings)
+        return row
+
+
+def _attracts(orbit: Solution) -> bool:
+    """Whether no multiplier of an orbit is outside the circle, by more than that of its velocity is off."""
+    return bool(np.max(np.abs(orbit.space.multipliers_alone(orbit.point).multipliers)) <= 1.0 + UNIT_MULTIPLIER_ATOL)
 
 
 def served(request: Request, name: str, values: Sequence[float], meanings: dict[str, str]) -> Iterator[Row]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -214,6 +214,7 @@ def set_value(raw: dict[str, Any], path: Path, value: object) -> None:
 Cells = NDArray[np.int64]  # flat numbers of cells in the finest grid
 Tables = dict[str, Any]  # a scene as plain values
 Settings = Sequence[tuple[Path, Any]]  # where values go in a scene, and the values
+SERVED_CELLS = 16  # of a row at most, which one branch serves: others go to other workers
 
 
 class Task(msgspec.Struct, frozen=True):
@@ -225,6 +226,7 @@ class Task(msgspec.Struct, frozen=True):
         amplitudes: of the family's orbits, ascending, one a cell; empty where the map has no axis S.
         along, values: parameter of the branch that serves the cells, and its values, one a cell; empty where each cell
             starts anew.
+        checked: whether it serves cells alone between two whose own starts lead to it.
         start, period: of a neighbour's solution, for a second start; empty for the scene's own.
         neighbour: its cell.
     """
@@ -234,6 +236,7 @@ class Task(msgspec.Struct, frozen=True):
     amplitudes: tuple[float, ...] = ()
     along: str = ""
     values: tuple[float, ...] = ()
+    checked: bool = False
     start: tuple[float, ...] = ()
     period: float = 0.0
     neighbour: int = -1
@@ -243,11 +246,13 @@ class Task(msgspec.Struct, frozen=True):
 class Grid:
     """The finest grid of a map, cells in the order of C with the last axis fastest.
 
-    One branch serves cells that differ along the axis named `along`, if any.
+    One branch serves cells that differ along the axis named `along`, if any; `checked` those alone between two whose
+    own starts lead to it.
     """
 
     axes: tuple[Axis, ...]
     along: str | None = None
+    checked: bool = False
 
     @classmethod
     def of(cls, scene: Scene) -> Grid:
@@ -262,6 +267,9 @@ class Grid:
                 f"a range of a parameter ({', '.join(ranges) or 'none here'}), beside [equilibrium] or [orbit] alone"
             )
             raise refusal("[map] along", toml_repr(grid.along), accepted)
+        if grid.along is None and alone and scene.orbit is not None and ranges:  # the longest, of these the last
+            longest = max(reversed(ranges), key=lambda name: len(next(a for a in grid.axes if a.name == name).values))
+            grid = replace(grid, along=longest, checked=True)
         grid._check(plain(scene))
         return grid
 
@@ -341,8 +349,10 @@ class Grid:
         starts = np.flatnonzero(np.diff(families[order], prepend=-1))
         for group in np.split(cells[order], starts[1:]):
             if self.along is not None:
-                values = tuple(float(self.values(cell)[along]) for cell in group.tolist())
-                yield Task(tuple(group.tolist()), self.settings(int(group[0])), along=self.along, values=values)
+                size = SERVED_CELLS if self.checked else len(group)
+                for part in (group[k : k + size].tolist() for k in range(0, len(group), size)):
+                    values, settings = tuple(float(self.values(cell)[along]) for cell in part), self.settings(part[0])
+                    yield Task(tuple(part), settings, along=self.along, values=values, checked=self.checked)
                 continue
             found = sorted((float(self.values(cell)[along]), cell) for cell in group.tolist())
             yield Task(tuple(c for _, c in found), self.settings(found[0][1]), tuple(S for S, _ in found))

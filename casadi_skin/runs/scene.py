@@ -561,7 +561,8 @@ class MapTable(Table, frozen=True):
         watch: Quantities where whose changes cells are refined; accepted: a list of names of quantities, or a table
             of lists of levels by name (left out: stable and end)
         along: Parameter along which one branch serves all cells, from the solution at the first of them; accepted: a
-            range of a parameter of the model, beside [equilibrium] or [orbit] alone (left out: each cell starts anew)
+            range of a parameter of the model, beside [equilibrium] or [orbit] alone (left out: of orbits those cells
+            alone that lie between two whose own starts lead to it)
         boundary: The boundary of stability is followed and drawn over the map
         growth: Growth over a period, log |multiplier|, from which on an instability is the first one; accepted: a
             finite number >= 0

@@ -361,6 +361,20 @@ def test_one_branch_serves_a_row_and_cells_that_it_does_not_reach_start_anew(tmp
     assert two.complete
 
 
+def test_orbits_between_two_whose_starts_lead_to_one_branch_are_on_it(tmp_path: Path) -> None:
+    """r' = (1 - r) (r - p) (r - 3), angle' = p: from r = 2 to radius 3 for p < 2, then to 1."""
+    model = "x, y, p = ca.SX.sym('x'), ca.SX.sym('y'), ca.SX.sym('p')\nr = ca.sqrt(x**2 + y**2)\n"
+    model += "g = (1 - r) * (r - p) * (r - 3) / r\n"
+    model += "good = OdeModel('two', ca.vertcat(x, y), ca.vertcat(x * g - p * y, y * g + p * x), p, nominal=(1.5,))\n"
+    text = EQUILIBRIUM.replace("[equilibrium]\nstart = [0.1]", "[orbit]\nstart = [2.0, 0.0]\ntransient = 40.0")
+    text += "[map]\np = { from = 1.5, to = 2.5, points = 20 }\n"
+    found = run_map(of_model(tmp_path, text, model), tmp_path / "out", pictures=False, quiet=True)
+    p = np.linspace(1.5, 2.5, 20)
+    np.testing.assert_allclose(found["x_max"], np.where(p < 2.0, 3.0, 1.0), rtol=1e-7)
+    np.testing.assert_allclose(found["period"], 2.0 * np.pi / p, rtol=1e-7)
+    assert [len(record.cells) for record in tasks(tmp_path / "out" / "journal.msgpack")] == [16, 4]
+
+
 def test_a_cell_that_the_branch_of_its_row_does_not_reach_is_tried_by_itself(tmp_path: Path) -> None:
     """x = sqrt(1 - p) ends at p = 1; nothing rests beyond but what a start of its own finds, at x = -4."""
     text = EQUILIBRIUM.replace("0.1", "1.0") + ALONG.replace("q = [0.0, 0.1]\n", "")
