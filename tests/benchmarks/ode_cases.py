@@ -41,10 +41,10 @@ def model(name: str, states: list[ca.SX], rhs: list[Any], parameter: ca.SX) -> O
     return OdeModel(name, ca.vertcat(*states), ca.vertcat(*rhs), parameter)
 
 
-def hopf_of(model: OdeModel, guess: list[float], start: float, to: float, which: int = 0) -> Any:
-    """A Hopf point on the branch of equilibria."""
-    (name,) = model.parameter_names
-    branch = find_equilibrium(model, guess, parameters={name: start}).follow(name, to)
+def hopf_of(model: OdeModel, guess: list[float], start: float, to: float, which: int = 0, **others: float) -> Any:
+    """A Hopf point on the branch of equilibria in the first parameter."""
+    name = model.parameter_names[0]
+    branch = find_equilibrium(model, guess, parameters={name: start, **others}).follow(name, to)
     return [point for point in branch.special_points if point.kind == "hopf"][which]
 
 
@@ -105,6 +105,60 @@ def three_van_der_pol() -> OdeModel:
         mu * (1 - x[i] ** 2) * y[i] - squares[i] * x[i] + 0.3 * (x[(i + 1) % 3] - 2 * x[i] + x[i - 1]) for i in range(3)
     ]
     return model("three van der Pol", [*x, *y], [*y, *pushes], mu)
+
+
+def autocatalator() -> OdeModel:
+    """Petrov, Scott and Showalter (1992), as BifurcationKit has it."""
+    a, b, c, mu = symbols("a b c mu")
+    return model(
+        "autocatalator", [a, b, c], [mu * (65 + c) - a * b**2 - a, (a * b**2 + a - b) / 5e-3, (b - c) / 2e-2], mu
+    )
+
+
+def neuron() -> OdeModel:
+    """Hindmarsh and Rose (1984)."""
+    x, y, z, current = symbols("x y z I")
+    return model(
+        "neuron", [x, y, z], [y - x**3 + 3 * x**2 - z + current, 1 - 5 * x**2 - y, 6e-3 * (4 * x + 6.4 - z)], current
+    )
+
+
+def synapses() -> OdeModel:
+    """Tsodyks and Markram's, as in Cortes et al. (2013)."""
+    E, x, u, E0 = symbols("E x u E0")
+    rate = 1.5 * ca.log(1 + ca.exp((3.07 * u * x * E + E0) / 1.5))
+    rhs = [(rate - E) / 0.013, (1 - x) / 0.2 - u * x * E, (0.3 - u) / 1.5 + 0.3 * (1 - u) * E]
+    return model("synapses", [E, x, u], rhs, E0)
+
+
+def morris_lecar() -> OdeModel:
+    """Morris and Lecar (1981), with the constants of their Hopf points; phi is the rate of the potassium channel."""
+    v, w, current, phi = symbols("v w I phi")
+    opens, rests = (1 + ca.tanh((v + 1.2) / 18)) / 2, (1 + ca.tanh((v - 2) / 30)) / 2
+    membrane = (current - 4.4 * opens * (v - 120) - 8 * w * (v + 84) - 2 * (v + 60)) / 20
+    gate = phi * (rests - w) * ca.cosh((v - 2) / 60)
+    return model("Morris-Lecar", [v, w], [membrane, gate], ca.vertcat(current, phi))
+
+
+def brusselator(cells: int) -> OdeModel:
+    """Reaction and diffusion on an interval whose ends are held at (2, B/2)."""
+    u, v, B = ca.SX.sym("u", cells), ca.SX.sym("v", cells), ca.SX.sym("B")
+    rates = (cells + 1) ** 2 * np.array([8e-3, 4e-3])
+
+    def spread(x: ca.SX, end: Any) -> ca.SX:
+        return ca.vertcat(end, x[:-1]) + ca.vertcat(x[1:], end) - 2 * x
+
+    f = 2 - (B + 1) * u + u**2 * v + rates[0] * spread(u, 2.0)
+    g = B * u - u**2 * v + rates[1] * spread(v, B / 2)
+    return OdeModel("Brusselator", ca.vertcat(u, v), ca.vertcat(f, g), B)
+
+
+def detuned_ring(units: int) -> OdeModel:
+    """Oscillators of van der Pol, each with a frequency of its own, coupled to those beside them."""
+    x, y = ca.SX.sym("x", units), ca.SX.sym("y", units)
+    beside = ca.vertcat(x[-1], x[:-1]) + ca.vertcat(x[1:], x[0]) - 2 * x
+    squares = 1.0 + 0.001 * np.random.default_rng(1).normal(size=units)
+    return OdeModel("ring", ca.vertcat(x, y), ca.vertcat(y, 0.5 * (1 - x**2) * y - squares * x + 0.1 * beside))
 
 
 def circle(model: OdeModel, radius: float, period: float, start: float, copies: int = 1) -> Any:
