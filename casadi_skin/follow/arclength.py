@@ -21,7 +21,7 @@ from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import End, Point, Target
 
-HELD_BELOW = 0.1  # of a step: shorter ones are taken on a mesh that is held
+HELD_BELOW = 0.1  # of a step: shorter ones are taken on a mesh that is held, and sought far from their guess
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
 
 
@@ -132,7 +132,7 @@ class ArclengthContinuation(Continuation):
         step = first = min(current.step, self._longest_step(current) / departure.scale)
         while step >= self.settings.min_step:
             try:
-                point = self._stepped(departure, step)
+                point = self._stepped(departure, step, step > HELD_BELOW * first)
                 if point is not None or self.end is not None:
                     return point
             except SingularError as error:
@@ -151,14 +151,17 @@ class ArclengthContinuation(Continuation):
     def _departure(self, current: Point, problem: Problem, held: bool = False) -> _Departure:
         """The current point and the way on from it in the unknowns of `problem`, on its mesh where that is `held`."""
         moves = not held and len(self.history) > 1 and current.problem.moves(current.z)
-        known = (current, *(() if moves else self.history[-2::-1]))
-        points = np.array([past.problem.all_prolonged(np.array([past.z, past.tangent]), problem) for past in known])
+        past = () if moves else self.history[-2::-1]
+        points = np.array(
+            [one.problem.all_prolonged(np.array([one.z, one.tangent]), problem) for one in (current, *past)]
+        )
         z, t = points[0]
         weights = self.point_solver.metric(problem, z)
         if problem is not current.problem:
             t /= math.sqrt(weights @ t**2)
         if moves:
-            moving = Moving.of(problem, z, t, weights, self.history[-2])
+            known = problem is current.problem and self.point_solver.joined(self.history[-2], current).moving
+            moving = known or Moving.of(problem, z, t, weights, self.history[-2])
             return self._departure(current, problem, held=True) if moving is None else self._moving(moving, weights)
         row = weights * t
         curve = predictor(predicting(points, row, weights), row)
@@ -182,13 +185,16 @@ class ArclengthContinuation(Continuation):
             self._last_side = side_of(self.point_solver, problem, current)
         return self._last_side
 
-    def _stepped(self, departure: _Departure, step: float) -> Point | None:
-        """The point a step away; None where the guard refuses it, or, with `end` set, where no level is fine enough."""
+    def _stepped(self, departure: _Departure, step: float, near: bool) -> Point | None:
+        """The point a step away; None where the guard refuses it, or, with `end` set, where no level is fine enough.
+
+        Where it is `near` its guess or nowhere, a shorter step costs less than a search for it.
+        """
         problem, row, reach = departure.on(step), departure.closing, departure.scale * step
         if problem is None:
             return None
         guess = departure.curve(step)
-        correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, reach)
+        correction = self.point_solver.correct(problem, guess, row, float(row @ departure.z) + step, reach, near)
         if correction is None:
             return None
         solve = self.point_solver.factors(problem, correction, row)

@@ -356,9 +356,12 @@ class PointSolver:
 
     # Correcting -----------------------------------------------------------------------------------------------------
 
-    def correct(self, problem: Problem, guess: Array, row: Array, value: float, reach: float) -> Correction | None:
-        """Corrected point within the guard's fraction of `reach` of the guess, or None."""
-        correction = self.levels.corrector(problem).correct(guess, row, value)
+    def correct(
+        self, problem: Problem, guess: Array, row: Array, value: float, reach: float, near: bool = False
+    ) -> Correction | None:
+        """Corrected point within the guard's fraction of `reach` of the guess, or None; sought `near` that alone."""
+        corrector = self.levels.corrector(problem)
+        correction = (corrector.near if near else corrector.correct)(guess, row, value)
         if not correction.converged or problem.frequency(correction.z) <= 0:
             self.failure = f"{correction.status.value}: {correction.message}".rstrip(": ")
             return None

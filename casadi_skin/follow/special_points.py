@@ -156,7 +156,10 @@ class _Turns(Search):
             off = 0.5 * abs(stretch.curve.coefficients[-1, index]) * length**2
         else:
             off = abs(stretch.curve.at(float(stretch.sigma[1]))[index] - points[1].z[index]) / length
-        return bool(off > HIDDEN_TURN_RATIO * min(abs(rate(point)) for point in points))
+        least = HIDDEN_TURN_RATIO * min(abs(rate(point)) for point in points)
+        if self.moving is not None:  # on meshes of their own, which leave errors of the parameter
+            least = max(least, self.solver.settings.tolerance / length)
+        return bool(off > least)
 
 
 @dataclass(frozen=True, eq=False)

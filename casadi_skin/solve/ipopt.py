@@ -332,8 +332,15 @@ class ArbitratedCorrector(Corrector):
         found: IpoptCorrector = self.problem.shared[key]
         return found.on(self.problem)
 
+    @property
+    def _nearby(self) -> NewtonCorrector:
+        return NewtonCorrector(self.problem, self.tolerance, NEWTON_STEPS, STEP_SHRINKAGE)
+
+    def near(self, guess: Array, row: Array, value: float) -> Correction:
+        return self._nearby.correct(guess, row, value)
+
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
-        near = NewtonCorrector(self.problem, self.tolerance, NEWTON_STEPS, STEP_SHRINKAGE)
+        near = self._nearby
         decreasing = NewtonCorrector(self.problem, self.tolerance, LOWER_STEPS, decreasing=True)
         for way in (near, decreasing, ReturningCorrector(self.problem, near)) if self._far else (near,):
             found = way.correct(guess, row, value)

@@ -80,6 +80,10 @@ class Corrector(ABC):
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         """Corrected point near `guess` with row . z = value, or a named failure; `row` has shape (size,)."""
 
+    def near(self, guess: Array, row: Array, value: float) -> Correction:
+        """The same by what finds points near their guess alone, where a guess nearer by is to be had for less."""
+        return self.correct(guess, row, value)
+
     def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
         """Verdicts on solutions: each as it is where this corrector agrees; here it always does."""
         return [Correction(z, Status.CONVERGED, 0) for z, _, _ in points]
@@ -243,6 +247,9 @@ class RoundedCorrector(Corrector):
 
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         return self._rounded(self.inner.correct(guess, row, value), row, value)
+
+    def near(self, guess: Array, row: Array, value: float) -> Correction:
+        return self._rounded(self.inner.near(guess, row, value), row, value)
 
     def confirm_all(self, points: Sequence[HeldState]) -> list[Correction]:
         found = list[Correction]()
