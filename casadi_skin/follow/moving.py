@@ -152,6 +152,17 @@ class Moving:
         return Seen(sigma, z, scale * tangent + moved, scale, on) if scale > 0.0 else None
 
 
+def beside(problem: Any, z: Array, tangent: Array, step: float) -> tuple[Any, Array]:
+    """The equations and the unknowns a small step along the branch, on a mesh that moves by it where layers do.
+
+    At places that are held what a layer leaves of the second derivative outweighs such a step.
+    """
+    if not problem.moves(z):
+        return problem, z + step * tangent
+    change, moved = _drift(problem, z, tangent, problem.metric(z, 1.0))
+    return problem.with_constants(problem.constants + step * change), z + step * (tangent + moved)
+
+
 def _drift(problem: Any, z: Array, tangent: Array, weights: Array) -> tuple[Array, Array]:
     """The change of lengths by the velocity v of the places with the least |t + x' v|, and x' v, shape (size,).
 

@@ -30,6 +30,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.follow.moving import beside
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.samples import (
     CERTAIN_SIGN_NOISE,
@@ -422,7 +423,8 @@ class ExponentSampler:
 
 def beside_on_tangent(point: Point, step: float) -> Point:
     """The point a step along the tangent, not corrected."""
-    return replace(point, z=point.z + step * point.tangent, better=None)
+    problem, z = beside(point.problem, point.z, point.tangent, step)
+    return replace(point, problem=problem, z=z, better=None)
 
 
 def nearest_order(first: ComplexArray, last: ComplexArray) -> Indices:
