@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from scenes import Runs, chain, family
+from scipy.special import ellipk
 
 from casadi_skin import Bond, Lattice, Site, follow_family
 
@@ -68,3 +70,18 @@ def test_an_orbit_of_a_lattice_is_followed_in_the_value_that_selects_it(run: Run
     S = 0.36 + 2.0 * float(last["y_1_max"]) ** 2
     model = Lattice([3], [Site("a", "k*y + b*y^3")], [Bond("a", "a", [1], "d")], parameters={"k": 1.0, "b": 1.0})
     assert float(last["period"]) == pytest.approx(follow_family(model, 1, S, at=[S]).at(S=S).period, rel=1e-7)
+
+
+def test_an_orbit_of_a_lattice_is_followed_at_its_frequency(run: Runs) -> None:
+    """One site, y'' = -k y - y^3, whose period by elliptic functions is that of the start at every k."""
+    lattice = (
+        "[lattice]\ncells = [1]\nparameters = { k = 1.0 }\n"
+        '[[lattice.site]]\nname = "a"\nonsite = "k*y + y^3"\n'
+        '[[lattice.bond]]\nfrom = "a"\nto = "a"\noffset = [1]\nforce = "0*d"\n'
+    )
+    orbit = "[orbit]\nstart = [1.0, 0.0]\nperiod = 4.77\nselect = { y_1 = 1.0 }\nsymmetric = true\n"
+    run(lattice + orbit + '[continuation]\nparameter = "k"\nto = 0.5\nfixed = "frequency"\n[figures]\nformats = []\n')
+    first, *_, last = run.rows("branch")
+    assert float(last["period"]) == pytest.approx(float(first["period"]), rel=1e-12)
+    square = float(last["y_1_max"]) ** 2
+    assert float(last["period"]) == pytest.approx(4.0 * ellipk(0.5 * square / (0.5 + square)) / np.sqrt(0.5 + square))
