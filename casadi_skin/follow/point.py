@@ -28,6 +28,7 @@ from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
 
 PREDICTING_POINTS = 4  # points that a prediction is made from
 REACH_MARGIN = 1e-9  # of a stretch, by which a place may be beyond its end: rounding is far below
+SAME_MISS = 1.01  # of the tangent's miss: that of a curve through one point is the same but for rounding
 ALIGNED_COSINE = 0.7  # cosine of the turn since a point, at least: three steps turn by less, a corner by more
 
 
@@ -163,7 +164,7 @@ def predicting(points: Array, row: Array, weights: Array) -> Array:
     sigma = float(row @ (z - start))
     guesses = predictor(points[1:], row)(sigma), start + sigma / float(row @ tangent) * tangent
     by_curve, by_tangent = (float(weights @ (guess - z) ** 2) for guess in guesses)
-    return points if by_curve <= by_tangent else points[:1]
+    return points if by_curve <= SAME_MISS * by_tangent else points[:1]
 
 
 def hermite(places: Sequence[float], x: Any) -> list[tuple[Any, Any]]:
