@@ -33,11 +33,12 @@ from casadi_skin.zero.balanced import (
 from casadi_skin.zero.problem import Array
 
 MARGIN_RATIO = 0.25  # of |X| + W: how far on the left of the axis eigenvalues are known at the least
-FIRST_COUNT, MOST_EIGENVALUES, MOST_RESTARTS = 16, 120, 100  # of Arnoldi's method
+FIRST_COUNT, MOST_EIGENVALUES, MOST_RESTARTS = 24, 120, 100  # of Arnoldi's method
 FEWEST = 6  # eigenvalues within the circle
 MOST_PLACES = 400  # on half of the circle
 SURE_TURN = 2.0  # bound of what g may turn between two places by eigenvalues outside: less than half a turn
 LEAST_PLACES, TRACE_PROBES = 5, 16
+LEFT_ACCURACY = 1e-9  # of left eigenvectors, of which rates and conditions are made
 NORM_ROUNDS = 8
 PAIR_ROUNDS, PAIR_OFFSET = (6, 3), 1e-9  # of inverse iteration, with the first shift and with a better one off by this
 WIDE_REACH, FAR_REACH = 1.2, 2.0  # of the radius: the farthest known eigenvalue is beyond, for a proof farther
@@ -84,7 +85,8 @@ class HalfPlane:
         least = np.maximum(np.append(0.0, apart[:-1]), reach)
         gap = int(np.argmax(np.where(least < WIDE_REACH * reach, apart / least, 0.0)))  # nothing is near the circle
         radius = float(np.sqrt(least[gap] * min(apart[gap], WIDE_REACH * least[gap])))
-        others, left = _nearest(lambda b: factors.solve(b, "T"), d.size, values.size, shift)
+        within = int(np.count_nonzero(np.abs(values - shift) < radius))
+        others, left = _nearest(lambda b: factors.solve(b, "T"), d.size, min(within + 2, values.size), shift, LEFT_ACCURACY)
         inside, left = np.abs(values - shift) < radius, left[:, np.abs(others - shift) < radius]
         if left.shape[1] != np.count_nonzero(inside):
             raise HalfPlaneError("left and right eigenvectors differ in number")
@@ -198,13 +200,18 @@ def _within(
     raise HalfPlaneError("too many eigenvalues are near the imaginary axis")
 
 
-def _nearest(solve: Callable[[Array], Array], n: int, count: int, shift: float) -> tuple[ComplexArray, ComplexArray]:
-    """The eigenvalues nearest to a shift, with eigenvectors as columns, by solutions with the shifted matrix."""
+def _nearest(
+    solve: Callable[[Array], Array], n: int, count: int, shift: float, accuracy: float = 0.0
+) -> tuple[ComplexArray, ComplexArray]:
+    """The eigenvalues nearest to a shift, with eigenvectors as columns, by solutions with the shifted matrix.
+
+    They are right to a relative accuracy, or to rounding where that is 0.
+    """
     from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
     start = np.random.default_rng(0).normal(size=n)
     try:
-        found, vectors = eigs(LinearOperator((n, n), matvec=solve, dtype=float), count, v0=start, maxiter=MOST_RESTARTS)
+        found, vectors = eigs(LinearOperator((n, n), matvec=solve, dtype=float), count, v0=start, maxiter=MOST_RESTARTS, tol=accuracy)
     except ArpackError as error:
         raise HalfPlaneError(str(error)) from error
     return shift + 1.0 / found, vectors
