@@ -272,24 +272,28 @@ class BorderedSolver:
         condensed = self._condensed(nonzeros, row, z)
         if condensed is not None:
             return condensed
+        solve = self._by_minimal_residuals(z, nonzeros, row) or self.unchecked(nonzeros, row)
         sizes, residuals = self.problem.units_at(z, nonzeros)
         probes = self._probes.copy()
         probes[:-1, 1] *= residuals
-        problem = self._by_intervals
-        if problem is not None and self._failed < MOST_FAILED:  # of a system that dissipates
-            with suppress(SingularError):
-                by_intervals = IntervalFactors(problem, nonzeros, row, problem.sizes_at(z)[0])
-                if self._accurate(by_intervals(probes), sizes, nonzeros, row):
-                    self._failed = 0
-                    return by_intervals
-            self._failed += 1
-        solve = self.unchecked(nonzeros, row)
         if not self._accurate(solve(probes), sizes, nonzeros, row):
             raise SingularError(
                 "the Jacobian with its border is singular: two families meet, a fold in the held unknown, or sizes "
                 "too far apart for double precision"
             )
         return solve
+
+    def _by_minimal_residuals(self, z: Array, nonzeros: Array, row: Array) -> Solve | None:
+        """Solves by sparse factors of the intervals, of many states; None where they do not come to rounding."""
+        problem = self._by_intervals
+        if problem is not None and self._failed < MOST_FAILED:
+            self._failed += 1
+            with suppress(SingularError):
+                solve = IntervalFactors(problem, nonzeros, row, problem.sizes_at(z)[0])
+                if self._reproduces(solve(self._probes[:, 0]), nonzeros, row):
+                    self._failed = 0
+                    return solve
+        return None
 
     @cached_property
     def takes_several(self) -> bool:
@@ -325,6 +329,10 @@ class BorderedSolver:
         x, general, raw = np.ascontiguousarray(probes.T)
         if not (np.max(np.abs(general) / sizes) < SINGULAR_GROWTH or np.max(np.abs(raw)) < SINGULAR_GROWTH):
             return False
+        return self._reproduces(x, nonzeros, row)
+
+    def _reproduces(self, x: Array, nonzeros: Array, row: Array) -> bool:
+        """Whether the matrix times x is (0, ..., 0, 1)."""
         largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
         rows, columns = self.problem.pattern
         defect = np.bincount(rows, nonzeros * x[columns], self.problem.size - 1)

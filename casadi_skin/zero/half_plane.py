@@ -86,7 +86,9 @@ class HalfPlane:
         gap = int(np.argmax(np.where(least < WIDE_REACH * reach, apart / least, 0.0)))  # nothing is near the circle
         radius = float(np.sqrt(least[gap] * min(apart[gap], WIDE_REACH * least[gap])))
         within = int(np.count_nonzero(np.abs(values - shift) < radius))
-        others, left = _nearest(lambda b: factors.solve(b, "T"), d.size, min(within + 2, values.size), shift, LEFT_ACCURACY)
+        others, left = _nearest(
+            lambda b: factors.solve(b, "T"), d.size, min(within + 2, values.size), shift, LEFT_ACCURACY
+        )
         inside, left = np.abs(values - shift) < radius, left[:, np.abs(others - shift) < radius]
         if left.shape[1] != np.count_nonzero(inside):
             raise HalfPlaneError("left and right eigenvectors differ in number")
@@ -211,7 +213,9 @@ def _nearest(
 
     start = np.random.default_rng(0).normal(size=n)
     try:
-        found, vectors = eigs(LinearOperator((n, n), matvec=solve, dtype=float), count, v0=start, maxiter=MOST_RESTARTS, tol=accuracy)
+        found, vectors = eigs(
+            LinearOperator((n, n), matvec=solve, dtype=float), count, v0=start, maxiter=MOST_RESTARTS, tol=accuracy
+        )
     except ArpackError as error:
         raise HalfPlaneError(str(error)) from error
     return shift + 1.0 / found, vectors

@@ -9,6 +9,7 @@ kick and breather are in test_chain_speed.py, Bratu's problem beside solve_bvp i
 
 from __future__ import annotations
 
+import resource
 import sys
 import time
 import warnings
@@ -166,6 +167,16 @@ def test_multipliers_of_200_states(unit: float) -> None:
     print()
     line("Brusselator of 200 states, multipliers", seconds, 1, unit, 2500.0)
     assert abs(multipliers.multipliers[np.argmin(abs(multipliers.multipliers - 1.0))] - 1.0) < 1e-4
+
+
+def test_orbits_of_1000_states(unit: float) -> None:
+    """The first orbits with multipliers, and the most memory of the process in GB."""
+    (hopf, *_) = [p for p in rest_of_brusselator(500).follow("B", 6.0).special_points if p.kind == "hopf"]
+    to = hopf.parameters["B"] + 0.3
+    seconds, branch = least(lambda: hopf.follow("B", to, max_points=6, stability=True), 1)
+    print(f"\n  {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.1f} GB")
+    line("Brusselator of 1,000 states, orbits", seconds, len(branch), unit)
+    assert all(orbit.floquet().beyond < 1.0 for orbit in branch.orbits[1:])
 
 
 def test_equilibria_of_400_states(unit: float) -> None:

@@ -35,6 +35,18 @@ def test_reaction_diffusion(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_oscillating_reaction(tmp_path: Path) -> None:
+    """From the Hopf point of `test_reaction_diffusion`, with few multipliers and a bound of the others."""
+    cells = 60
+    branch = load("oscillating_reaction").main(tmp_path / "picture.png", cells, 4)
+    assert drawn(tmp_path / "picture.png")
+    kappa = 4.0 * (cells + 1) ** 2 * np.sin(0.5 * np.pi / (cells + 1)) ** 2
+    assert abs(branch.values[0] - np.sqrt(0.012 * kappa / (5.45 - 1.0 - 4.0))) < 1e-10
+    found = [orbit.floquet() for orbit in branch.orbits[1:]]
+    assert all(one.stable and one.multipliers.size < 12 and one.beyond < 0.2 for one in found)
+
+
+@pytest.mark.slow
 def test_turning_orbits(tmp_path: Path) -> None:
     """Both sides of the separatrix end at E = 1; Melnikov's integral gives the junction's end, 4 c/pi for small c."""
     swings, turns, carries = load("turning_orbits").main(tmp_path / "picture.png")
