@@ -150,7 +150,7 @@ class ArclengthContinuation(Continuation):
 
     def _departure(self, current: Point, problem: Problem, held: bool = False) -> _Departure:
         """The current point and the way on from it in the unknowns of `problem`, on its mesh where that is `held`."""
-        moves = not held and len(self.history) > 1 and current.problem.moves(current.z)
+        moves = not held and len(self.history) > 1 and current.moves
         past = () if moves else self.history[-2::-1]
         points = np.array(
             [one.problem.all_prolonged(np.array([one.z, one.tangent]), problem) for one in (current, *past)]

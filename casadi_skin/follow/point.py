@@ -580,7 +580,7 @@ class PointSolver:
     def _moving(self, current: Point, following: Point) -> Joined | None:
         """The same on a mesh that moves with layers; None where there are none."""
         (problem, z), ends = (following.problem, following.z), (current, following)
-        if not (any(one.problem.moves(one.z) for one in ends) and all(np.any(one.tangent) for one in ends)):
+        if not (any(one.moves for one in ends) and all(np.any(one.tangent) for one in ends)):
             return None
         weights = self.metric(problem, z)
         unit = following.tangent / np.sqrt(float(weights @ following.tangent**2))

@@ -382,7 +382,10 @@ class ExponentSampler:
         here = first.values.real
         was, then = (one.values[nearest_order(first.values, one.values)].real for one in (before, last))
         ahead, back = then - here, self.longer * (here - was)
-        moves = FAR_DISTANCE * np.abs(ahead - back) + FAR_MOVES * (np.abs(ahead) + np.abs(back))
+        with np.errstate(all="ignore"):  # where it has passed zero it has not grown
+            grown = here * (here / was) ** self.longer
+        unforeseen = np.fmin(np.abs(ahead - back), np.abs(then - grown))
+        moves = FAR_DISTANCE * unforeseen + FAR_MOVES * (np.abs(ahead) + np.abs(back))
         return bool(np.all((here * then > 0.0) & (np.minimum(np.abs(here), np.abs(then)) > moves)))
 
     def here(self, point: Point) -> Exponents:

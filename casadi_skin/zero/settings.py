@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -163,6 +164,11 @@ class Point:
     def parameter(self) -> float:
         """Value of the free parameter."""
         return float(self.z[self.problem.parameter_index])
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether its mesh may move with its layers along the branch (`Problem.moves`)."""
+        return bool(self.problem.moves(self.z))
 
     @property
     def Omega(self) -> float:
