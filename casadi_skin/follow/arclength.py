@@ -165,7 +165,8 @@ class ArclengthContinuation(Continuation):
             return self._departure(current, problem, held=True) if moving is None else self._moving(moving, weights)
         row = weights * t
         curve = predictor(predicting(points, row, weights), row)
-        turning = self.settings.layer_angles if problem.has_layers(z) else 1.0
+        layers = current.has_layers if problem is current.problem else problem.has_layers(z)
+        turning = self.settings.layer_angles if layers else 1.0
         return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem), turning)
 
     def _moving(self, moving: Moving, weights: Array) -> _Departure:

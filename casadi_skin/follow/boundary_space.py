@@ -270,14 +270,13 @@ class BoundarySpace(ParameterSpace):
             return None
         model, (problem, z) = self.statement.model, (self.first.problem, self.first.z)
         values = {**self.statement.values, **dict(zip(model.parameter_names, problem.parameters(z), strict=True))}
-        slope, states = (
-            model.function("slope", ca.jacobian(model.full_rhs, model.full_state)),
-            problem.sample(z, PLACES),
-        )
-        sizes, size = np.zeros(slope.nnz_out(0)), model.full_size
+        slope = model.function("slope", ca.jacobian(model.full_rhs, model.full_state))
+        states, size = problem.sample(z, PLACES), model.full_size
+        sizes = np.zeros(slope.nnz_out(0))
         for value in (self.begins, self.to):
             p = [{**values, self.parameter: value}[name] for name in model.parameter_names]
-            sizes += sum(np.abs(np.array(slope(t, x, p).nonzeros())) for t, x in zip(PLACES, states, strict=True))
+            found = np.array(slope(PLACES[None], states.T, p).nonzeros())  # of one place after the other
+            sizes += np.sum(np.abs(found.reshape(PLACES.size, -1)), axis=0)
         if not np.all(np.isfinite(sizes)):
             return None
         strength = csc_matrix((sizes, tuple(map(np.array, slope.sparsity_out(0).get_triplet()))), shape=(size, size))

@@ -157,7 +157,7 @@ def beside(problem: Any, z: Array, tangent: Array, step: float) -> tuple[Any, Ar
 
     At places that are held what a layer leaves of the second derivative outweighs such a step.
     """
-    if not problem.moves(z):
+    if not (problem.may_move and problem.has_layers(z)):
         return problem, z + step * tangent
     change, moved = _drift(problem, z, tangent, problem.metric(z, 1.0))
     return problem.with_constants(problem.constants + step * change), z + step * (tangent + moved)

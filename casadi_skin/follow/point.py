@@ -574,7 +574,7 @@ class PointSolver:
     def _held(self, current: Point, following: Point) -> Joined:
         """The same on the mesh of the second."""
         problem = following.problem
-        z, t = (current.problem.prolong(v, problem) for v in (current.z, current.tangent))
+        z, t = current.problem.all_prolonged(np.array([current.z, current.tangent]), problem)
         return Joined(z, t, self.metric(problem, z) * t, following)
 
     def _moving(self, current: Point, following: Point) -> Joined | None:

@@ -25,7 +25,7 @@ from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO
 from casadi_skin.zero.family import MAX_POINTS
 from casadi_skin.zero.kinds import HOPF, kind_of
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.rest import Course, Statics, power_of_two, sizes_at, sizes_of
+from casadi_skin.zero.rest import Course, power_of_two, sizes_at, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, Point
 
 PROBE_STEP = 1e-2  # of the unit of length: a step along the branch that leaves, for the direction of its parameter
@@ -115,7 +115,7 @@ def leaving_space(
     if not rests:
         return leaving_solutions(solution, turns, parameter, to, at, both, side)
     if born:
-        statics = Statics(solution.space.model, solution.parameters)
+        statics = solution.space.statics.at(solution.parameters)
         return born_at(statics, _seen(solution), point.frequency, parameter, to, at, both, tolerance)
     return other_branch(point, parameter, to, at, settings, side)
 
@@ -153,7 +153,7 @@ def other_branch(
     if parameter != point.parameter:
         raise ValueError(f"parameter: given {parameter!r}; accepted: {point.parameter}, in which the point was found")
     direction = _other_direction(space, solution.point)
-    statics = Statics(space.model, solution.parameters)
+    statics = space.statics.at(solution.parameters)
     old, value = space.course, solution.parameters[parameter]
     assert old is not None
     n, span, x = statics.size, to - value, _seen(solution)
@@ -182,7 +182,7 @@ def _towards(
     settings: ContinuationSettings, at: tuple[float, ...],
 ) -> tuple[EquilibriumSpace, Array, Array]:  # fmt: skip
     """The space of a branch that leaves, with its start and its unit tangent there; the largest component grows."""
-    statics, old = Statics(space.model, solution.parameters), space.course
+    statics, old = space.statics.at(solution.parameters), space.course
     assert old is not None
     n, span = statics.size, to - solution.parameters[space.parameter]
     leaving = EquilibriumSpace(

@@ -113,6 +113,7 @@ class Problem(ABC):
     cosines: int = 0  # number of odd cosines by whose values at nodes the state is known; 0 in other transcriptions
     noise: float = 0.0  # error of residuals beyond rounding, as of an integrator, relative to the state
     holds_linear_modes: bool = False  # exactly, at every resolution
+    may_move: bool = False  # whether the mesh may move with the layers of solutions along a branch
     output_scale: Array | None = None  # factors from state values to those that users see
     constants: Array = np.zeros(0)
 
@@ -322,10 +323,6 @@ class Problem(ABC):
 
     def has_layers(self, z: Array) -> bool:
         """Whether the solution has parts in which it goes far faster than elsewhere."""
-        return False
-
-    def moves(self, z: Array) -> bool:
-        """Whether the mesh may move with the layers of a solution along a branch, and it has some."""
         return False
 
     # Adaptation: where the unknowns of a transcription should lie ------------------------------------

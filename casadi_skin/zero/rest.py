@@ -7,6 +7,7 @@ that stiff models and components of any unit are solved alike.
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -121,6 +122,13 @@ class Statics:
             value = ca.jtimes(value, x, direction)
             found.append(ca.Function("form", [x, p, *directions[: k + 1]], [ca.densify(value)]))
         return found
+
+    def at(self, values: Mapping[str, float]) -> Statics:
+        """The same model at other values of all parameters; functions made for one serve both."""
+        other = copy.copy(self)
+        other.__dict__.pop("values", None)
+        object.__setattr__(other, "given", values)
+        return other
 
     def symbols(self) -> tuple[Expression, Expression]:
         """New symbols of the unknowns and of the parameters."""

@@ -166,9 +166,14 @@ class Point:
         return float(self.z[self.problem.parameter_index])
 
     @cached_property
+    def has_layers(self) -> bool:
+        """Whether the solution has parts in which it goes far faster than elsewhere."""
+        return bool(self.problem.has_layers(self.z))
+
+    @property
     def moves(self) -> bool:
-        """Whether its mesh may move with its layers along the branch (`Problem.moves`)."""
-        return bool(self.problem.moves(self.z))
+        """Whether the mesh may move with the layers along the branch, and there are some."""
+        return self.problem.may_move and self.has_layers
 
     @property
     def Omega(self) -> float:

@@ -186,8 +186,9 @@ class BoundaryProblem(CollocationEquations):
         ways = np.sqrt(np.einsum("ij,ij->i", moves, moves))
         return bool((ways / self.mesh.gaps).max() > LAYER_SPEED_RATIO * ways.sum())
 
-    def moves(self, z: Array) -> bool:
-        return PERIOD in self.statement.free and not self.statement.switching.size and self.has_layers(z)
+    @property
+    def may_move(self) -> bool:  # type: ignore[override]
+        return PERIOD in self.statement.free and not self.statement.switching.size
 
     def rounding(self, z: Array) -> Array:  # type: ignore[override]
         """Of each equation, as components of the state have units of their own."""
