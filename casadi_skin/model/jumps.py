@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 from casadi_skin.model.arguments import cut
 from casadi_skin.model.equations import Array, Equations
 from casadi_skin.model.operations import operated, read
+from casadi_skin.native import kernels
+from casadi_skin.native.places import at_places
 
 Booleans: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.int64]
@@ -253,7 +255,7 @@ class Jumps:
         moves = np.concatenate([[-d, d] for d in np.diag(distances)])
         return self.along(np.zeros(len(moves)), state + moves, parameters) if self.found else ""
 
-    @property
+    @cached_property
     def _field(self) -> Values:
         return _on_rows(self.model.vector_field, self.model.full_size)
 
@@ -261,8 +263,9 @@ class Jumps:
         key = tuple(map(id, tried))
         if key not in self._functions:
             entries = ca.vertcat(*(switch.value for switch in tried))
-            self._functions[key] = ca.Function("switches", self._found[0], [entries])
-        return _on_rows(self._functions[key], self.model.full_size)
+            function = ca.Function("switches", self._found[0], [ca.densify(entries)])
+            self._functions[key] = _on_rows(function, self.model.full_size)
+        return self._functions[key]
 
     @cached_property
     def _known(self) -> dict[tuple[int, bytes], str]:
@@ -270,7 +273,7 @@ class Jumps:
         return {}
 
     @cached_property
-    def _functions(self) -> dict[tuple[int, ...], ca.Function]:
+    def _functions(self) -> dict[tuple[int, ...], Values]:
         return {}
 
 
@@ -309,13 +312,31 @@ def _jumping(field: Values, start: Array, end: Array, before: Array, after: Arra
 
 
 def _on_rows(function: ca.Function, states: int) -> Values:
-    """A function (t, x, p) at places (t, x, p), one a row."""
+    """A function (t, x, p) at places (t, x, p), one a row; for each number of places it is compiled once."""
+    known = dict[int, Values]()
 
     def values(places: Array) -> Array:
-        columns = places.T
-        t, x, p = columns[:1], columns[1 : 1 + states], columns[1 + states :]
-        if len(places) == 1:
-            return np.array(function(t, x, p)).reshape(1, -1)
-        return np.array(function.map(len(places))(t, x, p)).T
+        if len(places) not in known:
+            known[len(places)] = _on_so_many(function, states, len(places))
+        return known[len(places)](places)
+
+    return values
+
+
+def _on_so_many(function: ca.Function, states: int, count: int) -> Values:
+    """The same at `count` places, by the kernel where the function is of operations."""
+    parts = slice(0, 1), slice(1, 1 + states), slice(1 + states, None)
+    arguments, found = [np.zeros((count, function.nnz_in(i))) for i in range(3)], np.zeros((count, function.nnz_out(0)))
+    dense = function.nnz_out(0) == function.numel_out(0)
+    compiled = at_places(function, arguments, [found], count) if dense else None
+    mapped = function.map(count) if compiled is None and count > 1 else function
+
+    def values(places: Array) -> Array:
+        if compiled is None:
+            return np.array(mapped(*(places.T[part] for part in parts))).T
+        for argument, part in zip(arguments, parts, strict=True):
+            argument[:] = places[:, part]
+        kernels()["at_places"](compiled)
+        return found.copy()
 
     return values
