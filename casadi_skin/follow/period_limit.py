@@ -68,7 +68,8 @@ def unbounded(space: SolutionSpace, before: Point, after: Point) -> Point | None
     value, rests = float(course.p[walking]), [stay.rest for stay in beside[:-1]]
     doubles = [float(rest.p[walking]) for rest in rests if len(rest.centre)]
     left = rate * sum(1.0 / min(rest.growth, rest.decay) for rest in rests if not len(rest.centre))
-    if left > DISTANCE_SAFETY * allowed or any(abs(double - value) > allowed * way for double in doubles):
+    apart = max((abs(double - value) / way for double in doubles), default=0.0)
+    if max(left, apart) > DISTANCE_SAFETY * allowed:
         return None
     if not _grows(beside, in_a_period(*_approaches(space, before, walking))):
         return None
