@@ -203,7 +203,8 @@ PER_STAGE = 2  # places a stage at which a solution is looked at for jumps
 MEANINGLESS_ERROR = 1e-2  # estimated error beyond which a solution is no solution, rounding or not
 UNIT_MULTIPLIER_REACH = 0.1  # distance from 1 of multipliers that are 1 twice: errors of the maps enter by their root
 MOST_IPOPT_ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may be far away
-OFFSET_FROM_BRANCH_POINT = 1e-3  # of the way from a branch point: where the search for other special points starts
+# Of a stretch, from a branch point on it: where the search for folds starts. Nearer by rates are rounding.
+OFFSET_FROM_BRANCH_POINT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -600,12 +601,14 @@ class BoundarySpace(ParameterSpace):
             found = branch_points_between(self.point_solver, before, after)
             crossed = [point if several else self._solved(point, before) for point, several in found]
         first: Point | None = before
+        reach = OFFSET_FROM_BRANCH_POINT * self._way(before, after) if crossed else 0.0
         for point in crossed:
-            left = None if first is None else self.point_solver.along(first, point, 1.0 - OFFSET_FROM_BRANCH_POINT)
-            if first is not None and left is not None:
-                yield from self._turns_between(first, left)
+            if first is not None and reach < (way := self._way(first, point)):
+                left = self.point_solver.along(first, point, 1.0 - reach / way)
+                yield from self._turns_between(first, left) if left is not None else ()
             yield point
-            first = self.point_solver.along(point, after, OFFSET_FROM_BRANCH_POINT)
+            way = self._way(after, point)
+            first = self.point_solver.along(point, after, reach / way) if reach < way else None
         if first is not None:
             yield from self._turns_between(first, after)
         if met is not None:
@@ -614,6 +617,10 @@ class BoundarySpace(ParameterSpace):
     def singular_near(self, guess: Point) -> Point | None:
         """The solution near a guess at which branches cross: orbits there are sought by multipliers alone."""
         return special_orbit(self, BRANCH_POINT, guess)
+
+    def _way(self, one: Point, other: Point) -> float:
+        """How far a point is from another one."""
+        return self.point_solver.distance(other.problem, one.problem.prolong(one.z, other.problem), other.z)
 
     def _solved(self, branch_point: Point, before: Point) -> Point:
         """A branch point as a solution of its extended equations, where they have one in the same place."""
