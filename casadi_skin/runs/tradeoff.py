@@ -185,7 +185,7 @@ class Reference:
 
     Attributes:
         orbits, mu: by the transcription of the family.
-        differences: between the two transcriptions, shape (orbits, 3); of mu at least the estimated error.
+        differences: between the two transcriptions, shape (orbits, 3), at least rounding; of mu the estimated error.
         agreement: the largest of them, shape (3,).
     """
 
@@ -200,6 +200,8 @@ class Reference:
         self.mu = self.multipliers(self.orbits)
         others = followed(Family(second.of(family)))[1]
         self.differences = self._errors(others, self.multipliers(others))
+        rounding = np.array([[orbit.point.problem.round_off] for orbit in self.orbits])
+        self.differences[:, :2] = np.maximum(self.differences[:, :2], rounding)  # they may agree by chance
         known = ~np.isnan(self.differences[:, 2])
         self.differences[known, 2] = np.maximum(self.differences[:, 2], [error for _, error in self.mu])[known]
         self.agreement: Array = np.fmax.reduce(self.differences)
