@@ -272,6 +272,8 @@ class BorderedSolver:
         condensed = self._condensed(nonzeros, row, z)
         if condensed is not None:
             return condensed
+        if not (np.all(np.isfinite(nonzeros)) and np.all(np.isfinite(row))):
+            raise SingularError("the Jacobian with its border cannot be factorised: an entry is not finite")
         solve = self._by_minimal_residuals(z, nonzeros, row) or self.unchecked(nonzeros, row)
         sizes, residuals = self.problem.units_at(z, nonzeros)
         probes = self._probes.copy()
