@@ -5,6 +5,7 @@ Solutions close where x(end) = S x(start), but for a constant: S is 1 where they
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -24,6 +25,7 @@ from casadi_skin.zero.problem import Array, Problem, Scalar, Solve
 from casadi_skin.zero.statement import Statement
 
 LAYER_SPEED_RATIO = 20.0  # of mean speed: Lorenz' cycles and those of an explosive reaction have 15, canards 22 to 160
+KEPT_SIZES = 6  # solutions whose sizes and metrics are kept: two points, their guesses, and others between
 LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 COMPONENT_FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
@@ -38,6 +40,14 @@ def _largest(values: Array) -> Array:
     return np.asarray(np.maximum.reduce(np.abs(values.T.copy()), axis=1, initial=0.0))
 
 
+Kept = deque[tuple[bytes, Array]]  # by the numbers that they are made of, the latest first
+
+
+def _known(kept: Kept, at: bytes) -> Array | None:
+    """What is kept for these numbers, which are compared one by one: to hash as many takes longer."""
+    return next((found for key, found in kept if key == at), None)
+
+
 class BoundaryProblem(CollocationEquations):
     """Unknowns z = (states, free parameters, u), where u is held or followed.
 
@@ -47,7 +57,6 @@ class BoundaryProblem(CollocationEquations):
 
     measured_by_defect = True
     faint: Faint | None = None
-    _sized = _weighed = b"", np.empty(0)
 
     def __init__(
         self,
@@ -62,6 +71,7 @@ class BoundaryProblem(CollocationEquations):
     ) -> None:
         self.statement, self.walking, self.end = statement, walking, end
         self.floors, self.scalar_floors = floors, scalar_floors
+        self._sized, self._weighed = Kept(maxlen=KEPT_SIZES), Kept(maxlen=KEPT_SIZES)  # shared by all meshes
         self._discretise(formulation, intervals, table, statement.constants(walking, end))
         self.mesh = mesh.Mesh(mesh.with_edges(self.constants, statement.switching), table.ends)
 
@@ -138,10 +148,14 @@ class BoundaryProblem(CollocationEquations):
     def _component_sizes(self, values: Array) -> Array:
         """Not to be written to: the last ones are kept, as a solution is measured several times."""
         at = values.tobytes() + self.floors.tobytes()
-        if at != self._sized[0]:
-            own = np.maximum(_largest(values), self.floors)
-            self._sized = at, np.where(self.floors > 0.0, own, np.maximum(own, SMALLEST_COMPONENT_RATIO * own.max()))
-        return self._sized[1]
+        found = _known(self._sized, at)
+        if found is None:
+            found = np.maximum(_largest(values), self.floors)
+            if not self.floors.all():
+                least = SMALLEST_COMPONENT_RATIO * found.max()
+                found = np.where(self.floors > 0.0, found, np.maximum(found, least))
+            self._sized.appendleft((at, found))
+        return found
 
     def measure_by(self, z: Array) -> None:
         """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.
@@ -168,15 +182,16 @@ class BoundaryProblem(CollocationEquations):
         Tails do not count: components that are faint where a branch starts are measured by what acts on them.
         """
         at = z.tobytes() + self.floors.tobytes()
-        if at != self._weighed[0]:
+        weights = _known(self._weighed, at)
+        if weights is None:
             weights, values = np.empty(self.size), z[: self.states].reshape(self.columns, -1)
             sizes = self._component_sizes(values)
             if self.faint is not None:
                 sizes = self.faint.measured(sizes)
             weights[: self.states].reshape(values.shape)[:] = sizes**-2.0 / self.columns
             weights[self.states : -1] = self._scalar_sizes(z) ** -2.0
-            self._weighed = at, weights
-        weights = self._weighed[1].copy()
+            self._weighed.appendleft((at, weights))
+        weights = weights.copy()
         weights[-1] = parameter_scale**-2.0
         return weights
 
