@@ -58,16 +58,15 @@ class DenseFactors:
     """Solves with the factors of a dense matrix."""
 
     def __init__(self, matrix: Array) -> None:
-        from scipy.linalg.lapack import dgetrf
+        from scipy.linalg.lapack import dgetrf, dgetrs
 
+        self._solve = dgetrs
         self._factors, self._pivots, where = dgetrf(matrix)
         if where:
             raise SingularError(f"the Jacobian with its border cannot be factorised: its pivot {where} is zero")
 
     def __call__(self, b: Array) -> Array:
-        from scipy.linalg.lapack import dgetrs
-
-        return np.asarray(dgetrs(self._factors, self._pivots, b)[0])
+        return np.asarray(self._solve(self._factors, self._pivots, b)[0])
 
     @property
     def orientation(self) -> float:

@@ -342,6 +342,9 @@ class Undiscretised(Problem):
     def prolong(self, z: Array, finer: Problem) -> Array:
         return z.copy()
 
+    def all_prolonged(self, z: Array, finer: Problem) -> Array:
+        return z.copy()
+
     def sample(self, z: Array, theta: Array) -> Array:
         return np.tile(self.state(z), (np.size(theta), 1))
 
@@ -350,6 +353,8 @@ class Undiscretised(Problem):
 
     def frequency_step(self, z: Array, step: Array) -> float:
         scalars = slice(self.states, self.size - 1)
+        if self.states == self.size - 1:
+            return 0.0
         return float(np.max(np.abs(step[scalars]) / np.maximum(np.abs(z[scalars]), 1.0), initial=0.0))
 
 
@@ -361,6 +366,7 @@ class AlgebraicProblem(Undiscretised):
     """
 
     added = 0
+    _weighed = b"", np.empty(0)
 
     def __init__(
         self, statics: Statics, sizes: Array, free: Sequence[Course] = (), walking: Course | None = None
@@ -445,10 +451,14 @@ class AlgebraicProblem(Undiscretised):
 
         A balanced unit at z is none for a length: it vanishes where eigenvectors meet, as at a Bogdanov-Takens point.
         """
-        weights, n = 1.0 / np.maximum(z * z, 1.0), self.states
-        weights[:n] /= n
+        at, n = z.tobytes(), self.states
+        if at != self._weighed[0]:  # kept, as a point is measured several times
+            weights = np.asarray(1.0 / np.maximum(z * z, 1.0))
+            weights[:n] /= n
+            self._weighed = at, weights
+        weights = self._weighed[1].copy()
         weights[-1] = parameter_scale**-2.0
-        return np.asarray(weights)
+        return weights
 
     def units_of_all(self, z: Array) -> Array:
         """Units of all unknowns at z, shape (size,)."""
