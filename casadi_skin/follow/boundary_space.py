@@ -635,10 +635,11 @@ class BoundarySpace(ParameterSpace):
     def _turns_between(self, before: Point, after: Point) -> Iterator[Point]:
         """The same on a stretch without branch points."""
         unbounded = self._unbounded(before, after)
+        parts = turning(self.point_solver, before, after)
         if unbounded is not None:
+            yield from (self._fold_between(*part) for part in parts)
             yield unbounded
             return
-        parts = turning(self.point_solver, before, after)
         hopf: Point | None = None
         if parts and self.shrinks(before, after):
             hopf = hopf_end(self, before, after)

@@ -7,17 +7,19 @@ The events account for the change in the number n_u of multipliers outside the c
 
     n_u(after) = n_u(before) + sum of the jumps of all events between,
 
-and changes of stability are the events at which n_u becomes 0 or leaves it. A stretch on which the account does not
-balance, or that cannot be divided until it is resolved, is named.
+and for whether the numbers of real multipliers above 1 and below -1 are even: folds and branch points change the one,
+doublings the other, and nothing else, as complex multipliers come in twos. Changes of stability are the events at which
+n_u becomes 0 or leaves it. A stretch on which the account does not balance, or that cannot be divided until it is
+resolved, is named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -32,8 +34,8 @@ from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
 from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.stability.result import FULL_TURN, turned
-from casadi_skin.zero.kinds import BRANCH_POINT, CROSSING_KINDS, FOLD, KREIN, TORUS, Unresolved
+from casadi_skin.stability.result import FULL_TURN, Exponents, turned
+from casadi_skin.zero.kinds import BRANCH_POINT, CROSSING_KINDS, DOUBLING, FOLD, KREIN, TORUS, Unresolved
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point
 
@@ -99,6 +101,28 @@ def events_between(space: BoundarySpace, sampler: ExponentSampler) -> tuple[list
     return events, gaps
 
 
+def accounted(first: Exponents, last: Exponents, events: Sequence[Event | Crossing]) -> bool:
+    """Whether events account for changes of the signs of det(M - 1) and det(M + 1), of multipliers that move freely."""
+    if first.beyond is None or last.beyond is None or first.pairs is not None or last.pairs is not None:
+        return True
+    for kinds, before, after in zip(((FOLD, BRANCH_POINT), (DOUBLING,)), first.beyond, last.beyond, strict=True):
+        jumps = sum(event.jump for event in events if event.kind in kinds)
+        if before is not None and after is not None and (after - before - jumps) % 2:
+            return False
+    return True
+
+
+def _agree(special: Solution, beside: Solution) -> bool:
+    """Whether det(M - 1) and det(M + 1) have the signs that they have at a special orbit, but for the one that is 0."""
+    signs = STEADY_SIGNS.get(special.point.special)
+    one, other = (orbit.floquet().exponents for orbit in (special, beside))
+    if signs is None or one.pairs is not None or other.pairs is not None:
+        return True
+    if one.beyond is None or other.beyond is None:
+        return False
+    return all(None in (one.beyond[k], other.beyond[k]) or one.beyond[k] == other.beyond[k] for k in signs)
+
+
 def _is_same(one: Event, other: Event) -> bool:
     return one.kind == other.kind != KREIN and abs(one.place - other.place) <= SAME_EVENT and one.angle == other.angle
 
@@ -140,7 +164,7 @@ class _OrbitSearch(Search):
         return there
 
     def passes(self, stretch: SampledStretch) -> bool:
-        clear = any(self.is_clear(end.point) for end in (stretch.first, stretch.last)) and self.balanced(stretch)
+        clear = any(self.is_clear(end.point) for end in (stretch.first, stretch.last)) and self.balanced(stretch, ())
         if clear and self.past is not None and stretch.first.point is self.first:
             three = SampledStretch.of((self.sample(self.past), *stretch.samples), self.real)
             clear = three.keeps_signs(1)
@@ -148,10 +172,12 @@ class _OrbitSearch(Search):
             clear = super().passes(stretch)
         return clear and self.meeting(stretch) is None
 
-    def balanced(self, stretch: SampledStretch, jumps: int = 0) -> bool:
-        """Whether jumps account for the change in the number of multipliers outside the circle."""
-        (start, open_at_start), (end, open_at_end) = (self.outside(end.point) for end in (stretch.first, stretch.last))
-        return abs(end - start - jumps) <= min(open_at_start, open_at_end)
+    def balanced(self, stretch: SampledStretch, passages: Sequence[Crossing]) -> bool:
+        """Whether passages account for the change in the numbers of multipliers outside the circle."""
+        first, last = (self.sampler.here(self.own(end.point)) for end in (stretch.first, stretch.last))
+        (start, open_at_start), (end, open_at_end) = first.outside, last.outside
+        missing = end - start - sum(passage.jump for passage in passages)
+        return abs(missing) <= min(open_at_start, open_at_end) and accounted(first, last, passages)
 
     def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[Event] | None:
         if not any(self.is_clear(sample.point) for sample in stretch.samples):
@@ -159,7 +185,7 @@ class _OrbitSearch(Search):
         if not np.all(stretch.isolates_roots):
             return None
         passages = list(self.passages(stretch))
-        if not self.balanced(stretch, sum(passage.jump for passage in passages)):
+        if not self.balanced(stretch, passages):
             return self.collision(stretch, passages) if depth >= KREIN_DEPTH else None
         if not last and self.meeting(stretch) is not None:
             return None
@@ -242,6 +268,11 @@ class _Free(_OrbitSearch):
 
     def exponents(self, point: Point) -> tuple[ComplexArray, ComplexArray, Array]:
         return self.sampler.free(point)
+
+    def event(self, stretch: SampledStretch, point: Point | None, passage: Crossing) -> Event | None:
+        """As above; none where errors of multipliers are as large as these."""
+        event = super().event(stretch, point, passage)
+        return None if event is None or event.solution.floquet().exponents.beyond is None else event
 
     def passages(self, stretch: SampledStretch) -> Iterator[Crossing]:
         found = list(stretch.crossings(CROSSING_KINDS))
@@ -382,6 +413,9 @@ BESIDE_SPECIAL = (
     0.1,
     0.3,
 )  # of the way from a special orbit to the next one: where its own multiplier has a side
+NEARER_SPECIAL = 10.0 ** -np.arange(3.0, 9.0)  # of the way: where something else is nearer to a special orbit
+# Of the signs of det(M - 1) and det(M + 1): those that do not change at a special orbit.
+STEADY_SIGNS = {FOLD: (1,), BRANCH_POINT: (1,), DOUBLING: (0,), TORUS: (0, 1)}
 
 
 @dataclass(frozen=True)
@@ -443,25 +477,55 @@ class Ledger:
             self._count = None
             self._name(before, after, f"no orbit is found beside the special one: {self.space.point_solver.failure}")
             return
-        start, open_at_start = first.floquet().exponents.outside
+        orbits = [first, last]
+        if special and not leaving:
+            orbits[:1] = reversed(self._nearer(before, first, lambda part: (before.point, after.point, part)))
+        if ends_special:
+            orbits[-1:] = self._nearer(after, last, lambda part: (before.point, after.point, 1.0 - part))
+        start, _ = orbits[0].floquet().exponents.outside
         if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, critical_angle(before.point.special, before))
         self._count = start
+        for one, other in pairwise(orbits):
+            yield from self._events(one, other, self._count)
+
+    def _events(self, first: Solution, last: Solution, count: int) -> Iterator[Solution]:
+        """Special orbits between two that are none, behind the first of which so many multipliers are outside."""
         ends = [(end.point, end.floquet().exponents) for end in (first, last)]
         length = self.space.point_solver.length(first.point, last.point)
         self._sampler = ExponentSampler(self.space, *ends, length=length, before=self._sampler)
         events, gaps = events_between(self.space, self._sampler)
         self.unresolved += gaps
         for event in events:
-            self._passed(event.solution, self._count, self._count + event.jump, event.angle)
-            self._count += event.jump
+            self._passed(event.solution, count, count + event.jump, event.angle)
+            count += event.jump
             if event.kind != KREIN:
                 yield event.solution
-        end, open_at_end = last.floquet().exponents.outside
-        if not gaps and abs(end - self._count) > min(open_at_start, open_at_end):
-            words = f"{end} multipliers are outside the unit circle where events account for {self._count}"
+        (_, one), (_, other) = ends
+        (_, open_at_start), (end, open_at_end) = one.outside, other.outside
+        if not gaps and abs(end - count) > min(open_at_start, open_at_end):
+            words = f"{end} multipliers are outside the unit circle where events account for {count}"
             self._name(first, last, words)
+        elif not gaps and not accounted(one, other, events):
+            self._name(first, last, "a multiplier that is 1 or -1 is missing: others have another sign")
         self._count = end
+
+    def _nearer(self, special: Solution, beside: Solution, way: Callable[[float], Any]) -> list[Solution]:
+        """An orbit beside a special one; where another is nearer to that, so is the first one behind which it lies.
+
+        Near a homoclinic orbit multipliers change by powers of ten within a step: those far outside pass from one
+        half of the real axis to the other between a doubling and a fold that are 1e-6 of a step apart.
+        """
+        orbits, fractions = [beside], iter(NEARER_SPECIAL)
+        while not _agree(special, orbits[-1]):
+            fraction = next(fractions, None)
+            point = None if fraction is None else self.space.point_solver.coarse_along(*way(fraction))
+            if point is None:
+                words = f"a multiplier that is 1 or -1 beside the {special.point.special} is missing, or errors hide it"
+                self._name(beside, special, words)
+                return [beside]
+            orbits.append(self.space.solution(point, self.space.floquets([point])[0]))
+        return orbits[-2:]
 
     def _passed(self, solution: Solution, before: int, after: int, angle: float) -> None:
         """Enter the change of stability at an orbit, where there is one."""

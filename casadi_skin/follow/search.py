@@ -377,7 +377,9 @@ class ExponentSampler:
     def is_far(self) -> bool:
         """Whether multipliers stay away from the circle, by their changes since the point before, without any rates."""
         (first, last), before = (exponents for _, exponents in self.ends), None if self.past is None else self.past[1]
-        if before is None or last.outside[1] or not first.values.size == last.values.size == before.values.size:
+        if before is None or last.outside[1] or first.beyond != last.beyond:
+            return False
+        if not first.values.size == last.values.size == before.values.size:
             return False
         here = first.values.real
         was, then = (one.values[nearest_order(first.values, one.values)].real for one in (before, last))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -332,6 +333,7 @@ class CutTail:
 
 SMALLEST_LOGARITHM = float(np.log(np.finfo(float).tiny))  # of multipliers that are below the smallest double
 RECIPROCAL_RTOL = 1e-7  # of a product mu_k mu_l that is 1 by a symmetry; dissipation within a period is seldom less
+SIGN_NOISE = float(np.log(2.0))  # of a logarithm: an error as large as the multiplier itself
 RECIPROCAL_NOISE = 1e-3  # largest error of a logarithm with which that product may be off
 FULL_TURN = 2.0 * np.pi
 
@@ -384,6 +386,25 @@ class Exponents:
             tau, noise = self.traces(pairs)
             away = np.where(tau.imag != 0.0, np.inf, np.abs(tau.real) - 2.0)
         return int(np.count_nonzero(away > 0.0)), int(np.count_nonzero(np.abs(away) <= noise))
+
+    @cached_property
+    def beyond(self) -> tuple[int | None, int | None] | None:
+        """Whether the numbers of real multipliers above 1 and below -1 are odd: the signs of det(M - 1) and det(M + 1).
+
+        Complex ones come in twos. None for one that errors leave open, or where these are not known; and in place of
+        both where errors are as large as a multiplier, which has no sign.
+        """
+        odd: list[int | None] = [0, 0]
+        for value, noise in zip(self.values.tolist(), self.noise.tolist(), strict=True):
+            if SIGN_NOISE <= noise < math.inf and value.real > -noise:
+                return None
+            for k, off in enumerate((abs(value.imag), np.pi - abs(value.imag))):
+                so_far = odd[k]
+                if so_far is None or math.hypot(value.real, off) <= noise:
+                    odd[k] = None
+                elif off == 0.0 and value.real > 0.0:
+                    odd[k] = 1 - so_far
+        return odd[0], odd[1]
 
     def traces(self, pairs: Indices) -> tuple[ComplexArray, Array]:
         """tau of each pair, mu + 1/mu, and its error."""

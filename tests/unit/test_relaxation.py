@@ -120,14 +120,20 @@ def test_a_canard_is_passed_and_the_relaxation_oscillation_followed() -> None:
     np.testing.assert_allclose(turns[-1], last.period, rtol=1e-6)
 
 
-@pytest.mark.slow
-def test_orbits_that_pass_a_saddle_focus_again_come_to_its_homoclinic_orbit() -> None:
-    """Tsodyks and Markram's synapses (Cortes et al. 2013): the folds come to the limit like a geometric series."""
+def synapses() -> Branch:
+    """Equilibria of Tsodyks and Markram's synapses (Cortes et al. 2013)."""
     E, x, u, E0 = symbols("E x u E0")
     rate = 1.5 * ca.log(1 + ca.exp((3.07 * u * x * E + E0) / 1.5))
     rates = ca.vertcat((rate - E) / 0.013, (1 - x) / 0.2 - u * x * E, (0.3 - u) / 1.5 + 0.3 * (1 - u) * E)
     model = OdeModel("synapses", ca.vertcat(E, x, u), rates, E0)
-    rest = find_equilibrium(model, [0.238616, 0.982747, 0.367876], parameters={"E0": -2.0}).follow("E0", -0.9)
+    start = find_equilibrium(model, [0.238616, 0.982747, 0.367876], parameters={"E0": -2.0})
+    return start.follow("E0", -0.9)
+
+
+@pytest.mark.slow
+def test_orbits_that_pass_a_saddle_focus_again_come_to_its_homoclinic_orbit() -> None:
+    """The folds come to the limit like a geometric series."""
+    rest = synapses()
     branch = from_hopf(rest, -1, "E0", -5.0)
     assert branch.end is End.UNBOUNDED
     limit, error = branch.special_points[-1].parameters["E0"], branch.special_points[-1].error
@@ -139,20 +145,35 @@ def test_orbits_that_pass_a_saddle_focus_again_come_to_its_homoclinic_orbit() ->
 @pytest.mark.slow
 def test_orbits_beside_a_homoclinic_orbit_are_walked_to_a_period_that_is_asked_for() -> None:
     """Shilnikov's folds go on geometrically, by exp(-pi rho / omega) of the saddle-focus at the end of the branch."""
-    E, x, u, E0 = symbols("E x u E0")
-    rate = 1.5 * ca.log(1 + ca.exp((3.07 * u * x * E + E0) / 1.5))
-    rates = ca.vertcat((rate - E) / 0.013, (1 - x) / 0.2 - u * x * E, (0.3 - u) / 1.5 + 0.3 * (1 - u) * E)
-    model = OdeModel("synapses", ca.vertcat(E, x, u), rates, E0)
-    rest = find_equilibrium(model, [0.238616, 0.982747, 0.367876], parameters={"E0": -2.0}).follow("E0", -0.9)
+    rest = synapses()
     branch = from_hopf(rest, -1, "E0", -5.0, period_max=30.0)
     assert branch.end is End.REACHED
     assert branch.solutions[-1].period == 30.0
     assert branch.solutions[-1].error < 1e-7
     folds = np.array([point.parameters["E0"] for point in branch.special_points])
     ratios = np.diff(folds[-5:])[1:] / np.diff(folds[-5:])[:-1]
-    saddle = find_equilibrium(model, branch.solutions[-1].evaluate(0.0), parameters={"E0": folds[-1]})
+    saddle = find_equilibrium(rest.solutions[0].model, branch.solutions[-1].evaluate(0.0), parameters={"E0": folds[-1]})
     focus = saddle.eigenvalues[np.argmax(np.abs(saddle.eigenvalues.imag))]
     np.testing.assert_allclose(ratios, -np.exp(-np.pi * abs(focus.real / focus.imag)), rtol=0.02)
+
+
+@pytest.mark.slow
+def test_a_doubling_beside_each_fold_near_a_homoclinic_orbit_is_found_or_its_stretch_is_named() -> None:
+    """A multiplier of -1e27 is one of 1e27 a step later: by way of a doubling and a fold, 1e-3 to 1e-9 of a step apart.
+
+    Folds on the last stretch before the homoclinic orbit are on the branch, too. The first two are of other kinds.
+    """
+    branch = from_hopf(synapses(), -1, "E0", -5.0, stability=True)
+    folds, doublings = (
+        np.array([point.parameters["E0"] for point in branch.special_points if point.kind == kind])
+        for kind in ("fold", "period doubling")
+    )
+    assert (folds.size, doublings.size >= 8) == (15, True)
+    beside = np.count_nonzero(np.abs(folds[2:, None] - doublings) < 1e-7, axis=1)
+    ends = np.array([(gap.start, gap.end) for gap in branch.unresolved])
+    named = np.min(np.abs(folds[2:, None, None] - ends), axis=(1, 2)) < 1e-12
+    assert np.all((beside == 1) | named)
+    assert not np.any(named[:7])
 
 
 def autocatalator() -> OdeModel:
