@@ -23,7 +23,7 @@ from casadi_skin.zero.settings import ErrorEstimate, Point
 
 Growth = Callable[[Any], Any]
 BELLS: list[Growth] = [lambda u: np.exp(-u * u), lambda u: 1 / (1 + u * u), lambda u: 1 / np.cosh(u) ** 2]
-LINE: Any = SimpleNamespace(prolong=lambda z, other: z, parameter_index=0, moves=lambda z: False)
+LINE: Any = SimpleNamespace(prolong=lambda z, other: z, parameter_index=0, may_move=False)
 
 
 def at(s: float) -> Point:
