@@ -505,11 +505,12 @@ def first_point(space: BoundarySpace, guess: Guess, tries: int | None = None) ->
                 again = isinstance(error, NotRefinedError) and PERIOD in space.statement.free
                 if not (steep or again):
                     raise
-                failures.append(str(error).removeprefix(f"{space.statement.model.name}: "))
+                words = str(error).removeprefix(f"{space.statement.model.name}: ")
+                failures.append(words.removeprefix("no solution near the guess: "))
         else:
             undetermined = rank_deficiency(problem, correction.z, everywhere=True)
-            words = (f"{correction.status.value}; {problem.describe_largest_residual(correction.z)}", undetermined)
-            failures.append(not_finite(problem, z) or "; there ".join(filter(None, words)))
+            both = (f"{correction.status.value}; {problem.describe_largest_residual(correction.z)}", undetermined)
+            failures.append(not_finite(problem, z) or "; there ".join(filter(None, both)))
     kind = BoundaryError if undetermined else NotReachedError
     raise kind(f"{space.statement.model.name}: no solution near the guess: {failures[0]}")
 

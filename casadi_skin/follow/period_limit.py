@@ -88,9 +88,21 @@ def unbounded(space: SolutionSpace, before: Point, after: Point) -> Point | None
 
 
 def _approaches(space: SolutionSpace, orbit: Point, walking: int) -> tuple[Course, list[Stay]]:
-    """As `stays`, those alone that come close: an orbit passes other saddles, or one again, on its way to a limit."""
+    """As `stays`, those alone that come close: an orbit passes other saddles, or one again, on its way to a limit.
+
+    Of two at a time, as beside a saddle that a saddle-node is near, that to which it comes nearest.
+    """
     course, found = stays(space, orbit, walking)
-    return course, [stay for stay in found if stay.nearest < CLOSE_APPROACH_RATIO * LINEAR_DISTANCE]
+    close = sorted((one for one in found if one.nearest < CLOSE_APPROACH_RATIO * LINEAR_DISTANCE), key=_nearest)
+    apart = list[Stay]()
+    for one in close:
+        if not any(one.start < other.end and other.start < one.end for other in apart):
+            apart.append(one)
+    return course, sorted(apart, key=lambda one: one.start)
+
+
+def _nearest(stay: Stay) -> float:
+    return stay.nearest
 
 
 def _marked(space: SolutionSpace, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
@@ -147,8 +159,9 @@ def _limit(
     before: Array | None = None
     while connections and radius > nearest:
         solved = [connection.solved(radius) for connection in connections]
-        if any(one is None for one in solved):
-            return None
+        if any(one is None for one in solved):  # where another equilibrium is near, the flow is linear closer by alone
+            before, radius = None, TRUNCATION_FACTOR * radius
+            continue
         values = np.array([one for one in solved if one is not None])
         determined = values[~np.isnan(values[:, 0])]
         if doubles:
@@ -206,7 +219,7 @@ def places_of(space: SolutionSpace, period: Sequence[Stay]) -> list[Array]:
 def joined_words(space: SolutionSpace, orbit: Point) -> str:
     """Which equilibria an orbit with a period without bound joins."""
     walking = space.statement.model.parameter_names.index(space.parameter)
-    course, stayed = stays(space, orbit, walking)
+    course, stayed = _approaches(space, orbit, walking)
     found = []
     for x in places_of(space, in_a_period(course, stayed)):
         x = np.where(np.abs(x) < SMALLEST_REPORTED_RATIO * course.extent, 0.0, x)

@@ -164,6 +164,37 @@ def test_cycles_in_the_plane_end_at_a_saddle_node() -> None:
     assert "homoclinic to (x = 1, y = 0)" in branch.reason
 
 
+def comes_back_outside(p: float) -> bool:
+    """Whether the orbit that leaves the saddle of the reactor leaves it again with more conversion, once round."""
+    field = lambda t, s: [p * (1 - s[0]) * np.exp(s[1]) - s[0], 14 * p * (1 - s[0]) * np.exp(s[1]) - 3 * s[1]]  # noqa: E731
+    x = brentq(lambda x: x * np.exp(-14 * x / 3) / (1 - x) - p, 0.3111, 0.6, xtol=1e-15)
+    rest = np.array([x, 14 * x / 3])
+    growths, modes = np.linalg.eig([[-1 - x / (1 - x), x], [-14 * x / (1 - x), -3 + 14 * x]])
+    modes, k = modes * np.sign(modes[0]), int(np.argmax(growths))
+    run = solve_ivp(field, (0.0, 100.0), rest + 1e-6 * modes[:, k], "DOP853", rtol=1e-12, atol=1e-14, max_step=0.05)
+    away = np.linalg.norm((run.y.T - rest) / [1.0, 8.0], axis=1)
+    farthest = run.t[np.argmax(np.where(run.t < 40.0, away, 0.0))]
+    left = np.flatnonzero((run.t > farthest + 12.0) & (away > 0.05))[0]
+    return bool(np.linalg.inv(modes)[k] @ (run.y[:, left] - rest) > 0.0)
+
+
+@pytest.mark.slow
+def test_a_homoclinic_orbit_beside_a_saddle_node_is_named() -> None:
+    """Of Uppal, Ray and Poore's reactor: a saddle 3e-2 of the orbit's extent from a fold, where it is not linear."""
+    x, y, p = symbols("x y p")
+    rate = p * (1 - x) * ca.exp(y)
+    model = OdeModel("reactor", ca.vertcat(x, y), ca.vertcat(-x + rate, -3 * y + 14 * rate), p, nominal=(0.0,))
+    rests = find_equilibrium(model, [0.0, 0.0]).follow("p", 0.25)
+    (hopf,) = (point for point in rests.special_points if point.kind == "hopf")
+    branch = hopf.follow("p", 0.08)
+    low, high = 0.1055, 0.1056
+    while high - low > 1e-11:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if comes_back_outside(middle) else (middle, high)
+    ends_at(branch, "homoclinic", low)
+    assert len(branch.values) < 200
+
+
 def test_the_whole_period_of_a_pendulum_ends_on_its_separatrix() -> None:
     """Without the reversal its energy has an unfolding, whose value is no limit of E."""
     period = turn_time(1.2)
