@@ -144,11 +144,15 @@ def predictor(points: Array, row: Array) -> Callable[[float], Array]:
 
 
 def interpolant(places: Sequence[float], values: Array, slopes: Array) -> Callable[[float], Array]:
-    """The polynomial of least degree through values and slopes, each (places, unknowns)."""
-    known = np.concatenate([values, slopes])
+    """The polynomial of least degree through values and slopes, each (places, unknowns).
+
+    It is that through what values differ by from the first, as weights beyond the places multiply rounding.
+    """
+    first = values[0]
+    known = np.concatenate([values - first, slopes])
 
     def at(place: float) -> Array:
-        return np.asarray(np.ravel(hermite(places, place), order="F") @ known)
+        return np.asarray(first + np.ravel(hermite(places, place), order="F") @ known)
 
     return at
 

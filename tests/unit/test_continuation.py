@@ -496,6 +496,13 @@ def test_a_prediction_from_four_points_is_exact_to_degree_seven() -> None:
     assert misses[1] > misses[2] > 1e6 * misses[3]
 
 
+def test_what_does_not_change_is_predicted_as_it_is() -> None:
+    """To the last bit: where steps grow, what a prediction is off by is multiplied by the next ones."""
+    points = np.array([[[x, 1.2769861417560822], [1.0, 0.0]] for x in (0.0, -0.55, -0.86, -1.03)])
+    row = np.array([1.0, 0.0])
+    assert [predictor(points[:n], row)(1.0)[1] for n in range(1, 5)] == 4 * [1.2769861417560822]
+
+
 def test_a_prediction_leaves_out_points_that_lie_behind_a_turn() -> None:
     z, t, row = np.array([0.0, 0.0]), np.array([1.0, 0.0]), np.array([1.0, 0.0])
     good = (np.array([-0.1, 0.01]), np.array([1.0, -0.2]))
