@@ -93,16 +93,14 @@ def _approaches(space: SolutionSpace, orbit: Point, walking: int) -> tuple[Cours
     Of two at a time, as beside a saddle that a saddle-node is near, that to which it comes nearest.
     """
     course, found = stays(space, orbit, walking)
-    close = sorted((one for one in found if one.nearest < CLOSE_APPROACH_RATIO * LINEAR_DISTANCE), key=_nearest)
+    close = sorted(
+        (one for one in found if one.nearest < CLOSE_APPROACH_RATIO * LINEAR_DISTANCE), key=lambda stay: stay.nearest
+    )
     apart = list[Stay]()
     for one in close:
         if not any(one.start < other.end and other.start < one.end for other in apart):
             apart.append(one)
     return course, sorted(apart, key=lambda one: one.start)
-
-
-def _nearest(stay: Stay) -> float:
-    return stay.nearest
 
 
 def _marked(space: SolutionSpace, orbit: Point, limit: Limit, period: Sequence[Stay]) -> Point:
