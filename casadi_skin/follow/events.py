@@ -27,7 +27,7 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.normal_forms import critical_angle
 from casadi_skin.follow.point import ALIGNED_COSINE
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, assignment
-from casadi_skin.follow.search import ExponentSampler, Search, gap_between
+from casadi_skin.follow.search import ExponentSampler, NotLocatedError, Search, gap_between
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import snapped, target_of
 from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
@@ -395,6 +395,8 @@ class _Paired(_OrbitSearch):
             fraction = (self.sigma(point) - self.sigma(stretch.first.point)) / stretch.length
             share = fraction if leaves else 1.0 - fraction
             tau = self.traces(point)
+            if tau.size < 2:
+                raise NotLocatedError("the multipliers of an orbit are in no pairs")
             two = tau[np.argsort(np.abs(tau - (other_centre + share * (centre - other_centre))))[:2]]
             return float(((two[0] - two[1]) ** 2).real)
 

@@ -146,10 +146,10 @@ def predictor(points: Array, row: Array) -> Callable[[float], Array]:
 def interpolant(places: Sequence[float], values: Array, slopes: Array) -> Callable[[float], Array]:
     """The polynomial of least degree through values and slopes, each (places, unknowns).
 
-    It is that through what values differ by from the first, as weights beyond the places multiply rounding.
+    Where values are equal it is that through what they differ by, as weights beyond the places multiply rounding.
     """
-    first = values[0]
-    known = np.concatenate([values - first, slopes])
+    first, known = np.where(np.ptp(values, axis=0) == 0.0, values[0], 0.0), np.concatenate([values, slopes])
+    known[: len(values)] -= first
 
     def at(place: float) -> Array:
         return np.asarray(first + np.ravel(hermite(places, place), order="F") @ known)
