@@ -9,12 +9,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from casadi_skin.results.store import Journal
 from casadi_skin.runs.program import main
+from casadi_skin.solve.processes import Worker
 
 BLANK = "import pytest; from drawing import blank_pictures; blank_pictures(pytest.MonkeyPatch())\n"
 
@@ -112,3 +113,17 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
         return Ended(status, *capsys.readouterr())
 
     return run
+
+
+def killing(monkeypatch: pytest.MonkeyPatch, times: int) -> list[Worker]:
+    """The worker that is killed so many times as it is about to answer; grows by one each time."""
+    answer, killed = Worker._answer, list[Worker]()
+
+    def kill(self: Worker, *options: Any) -> Any:
+        if self.process is not None and len(killed) < times and self in (killed or [self]):
+            killed.append(self)
+            self.process.kill()
+        return answer(self, *options)
+
+    monkeypatch.setattr(Worker, "_answer", kill)
+    return killed

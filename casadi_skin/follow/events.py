@@ -410,11 +410,8 @@ class _Paired(_OrbitSearch):
 # The account of a branch of orbits: its events in order, and the changes of stability that follow from them -----------
 
 SURE_SIDE = 3.0  # errors by which a multiplier has a side beside a special orbit
-BESIDE_SPECIAL = (
-    1e-2,
-    0.1,
-    0.3,
-)  # of the way from a special orbit to the next one: where its own multiplier has a side
+# Of the way from a special orbit to the next one: where its own multiplier has a side.
+BESIDE_SPECIAL = 1e-2, 0.1, 0.3
 NEARER_SPECIAL = 10.0 ** -np.arange(3.0, 9.0)  # of the way: where something else is nearer to a special orbit
 # Of the signs of det(M - 1) and det(M + 1): those that do not change at a special orbit.
 STEADY_SIGNS = {FOLD: (1,), BRANCH_POINT: (1,), DOUBLING: (0,), TORUS: (0, 1)}

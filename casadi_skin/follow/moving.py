@@ -23,11 +23,7 @@ from casadi_skin.zero.settings import Point
 
 STRETCH_WEIGHT = 0.1  # of a stretch of an interval by its own length, beside a change of the states by their size
 SHORTEST_LENGTH = 0.2  # of that at the start: down to which the mesh moves
-PLACE_ATOL, PLACE_ROUNDS = (
-    1e-9,
-    10,
-)  # of the sigma of another point, which depends on the mesh there, by Newton's method
-
+PLACE_ATOL, PLACE_ROUNDS = 1e-9, 10  # of another point's sigma, which depends on the mesh there: Newton's method
 LEAST_SCALARS = 1e-3  # of the length along the branch: changes of the scalars that another orbit is found by
 LEAST_ALIGNED = 0.5  # cosine of the turn from one orbit to another
 

@@ -129,35 +129,6 @@ static void solve(int64_t N, int64_t n, const lanes *A, lanes *x)
     }
 }
 
-/* The same of one system with exchanges of rows; both are overwritten. */
-static void solve_one(int64_t N, int64_t n, double *A, double *x)
-{
-    for (int64_t k = 0; k < N; k++) {
-        int64_t best = k;
-        for (int64_t i = k + 1; i < N; i++)
-            if (fabs(A[i * N + k]) > fabs(A[best * N + k]))
-                best = i;
-        for (int64_t j = 0; best != k && j < N + n; j++) {
-            double *one = j < N ? A + k * N + j : x + k * n + j - N, *other = one + (best - k) * (j < N ? N : n);
-            const double value = *one;
-            *one = *other, *other = value;
-        }
-        for (int64_t i = k + 1; i < N; i++) {
-            const double f = A[i * N + k] / A[k * N + k];
-            for (int64_t j = k + 1; j < N; j++)
-                A[i * N + j] -= f * A[k * N + j];
-            for (int64_t j = 0; j < n; j++)
-                x[i * n + j] -= f * x[k * n + j];
-        }
-    }
-    for (int64_t k = N - 1; k >= 0; k--)
-        for (int64_t j = 0; j < n; j++) {
-            for (int64_t i = k + 1; i < N; i++)
-                x[k * n + j] -= A[k * N + i] * x[i * n + j];
-            x[k * n + j] /= A[k * N + k];
-        }
-}
-
 /* The matrix 1 - h a_ij A_j of the stages of LANES intervals. */
 static void stage_system(const method *of, int64_t n, const double *h, const lanes *J, lanes *A)
 {
@@ -199,7 +170,7 @@ static void stages(const method *of, int64_t n, const double *h, const lanes *J,
         memset(x, 0, (size_t)(N * n) * sizeof(double));
         for (int64_t i = 0; i < N; i++)
             x[i * n + i % n] = 1.0;
-        solve_one(N, n, one, x);
+        NAMED(divide)(N, n, one, x);
         for (int64_t i = 0; i < N * n; i++)
             P[i][l] = x[i];
     }

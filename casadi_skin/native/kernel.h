@@ -71,6 +71,9 @@ typedef struct {
 
 int NAMED(at_places)(const places *p);
 
+/* Solutions in the place of X, (n, columns), with A, which is overwritten; the sign of its determinant: multipliers.c. */
+double NAMED(divide)(int64_t n, int64_t columns, double *A, double *X);
+
 /* Eigenvalues and vectors, units that balance a matrix, and its smallest and largest singular value: eigenvalues.c. */
 int NAMED(eigenvalues)(int64_t n, double *A, double *re, double *im, double *vectors, double *memory);
 void NAMED(balancing)(int64_t n, double *A, double *units);

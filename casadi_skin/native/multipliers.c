@@ -46,8 +46,8 @@ static void scale(int64_t n, double *x, double *log_size, int now)
     }
 }
 
-/* Y in the place of X with A Y = X, (n, n), by elimination with exchanges in A; the sign of its determinant. */
-static double divide(int64_t n, double *A, double *X)
+/* Y in the place of X with A Y = X, (n, columns), by elimination with exchanges in A; the sign of its determinant. */
+double NAMED(divide)(int64_t n, int64_t columns, double *A, double *X)
 {
     double sign = 1.0;
     for (int64_t k = 0; k < n; k++) {
@@ -55,13 +55,13 @@ static double divide(int64_t n, double *A, double *X)
         for (int64_t i = k + 1; i < n; i++)
             if (fabs(A[i * n + k]) > fabs(A[best * n + k]))
                 best = i;
-        if (best != k) {
+        if (best != k)
             sign = -sign;
-            for (int64_t j = 0; j < n; j++) {
-                double a = A[k * n + j], x = X[k * n + j];
-                A[k * n + j] = A[best * n + j], A[best * n + j] = a;
-                X[k * n + j] = X[best * n + j], X[best * n + j] = x;
-            }
+        for (int64_t j = 0; best != k && j < n + columns; j++) {
+            const int64_t width = j < n ? n : columns;
+            double *one = j < n ? A + k * n + j : X + k * columns + j - n, *other = one + (best - k) * width;
+            const double value = *one;
+            *one = *other, *other = value;
         }
         if (A[k * (n + 1)] < 0.0)
             sign = -sign;
@@ -69,15 +69,15 @@ static double divide(int64_t n, double *A, double *X)
             const double f = A[i * n + k] / A[k * (n + 1)];
             for (int64_t j = k + 1; j < n; j++)
                 A[i * n + j] -= f * A[k * n + j];
-            for (int64_t j = 0; j < n; j++)
-                X[i * n + j] -= f * X[k * n + j];
+            for (int64_t j = 0; j < columns; j++)
+                X[i * columns + j] -= f * X[k * columns + j];
         }
     }
     for (int64_t k = n - 1; k >= 0; k--)
-        for (int64_t j = 0; j < n; j++) {
+        for (int64_t j = 0; j < columns; j++) {
             for (int64_t i = k + 1; i < n; i++)
-                X[k * n + j] -= A[k * n + i] * X[i * n + j];
-            X[k * n + j] /= A[k * (n + 1)];
+                X[k * columns + j] -= A[k * n + i] * X[i * columns + j];
+            X[k * columns + j] /= A[k * (n + 1)];
         }
     return sign;
 }
@@ -103,7 +103,7 @@ static void products(int64_t K, int64_t n, const double *maps, double *forward, 
     identity(n, inverse);
     for (int64_t k = K - 1; k >= 0; k--) {
         memcpy(memory, maps + k * n * n, (size_t)(n * n) * sizeof(double));
-        logs[2] *= divide(n, memory, inverse);
+        logs[2] *= NAMED(divide)(n, n, memory, inverse);
         scale(n, inverse, logs + 1, k == 0);
     }
 }

@@ -113,7 +113,7 @@ class Floquet(Result):
         """Whether no multiplier lies outside the unit circle, within estimated errors, of those left out either."""
         if self.counted is not None:
             return self.counted == 0
-        return not (np.any(self.outside) or 1.0 <= self.beyond < np.inf)
+        return not (np.any(self.outside) or self.beyond >= 1.0)
 
     @property
     def listed(self) -> int:

@@ -13,14 +13,13 @@ from typing import Any
 
 import msgspec
 import pytest
-from apart import Ended
+from apart import Ended, killing
 from scenes import Runs, chain, family, table
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.branch import Branch
 from casadi_skin.results.saving import saved
 from casadi_skin.results.store import framed
-from casadi_skin.solve.processes import Worker
 
 Cli = Callable[..., Ended]
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -189,15 +188,7 @@ def test_a_saved_branch_with_a_wrong_field_is_refused(
 def test_a_search_goes_on_where_a_worker_is_killed(times: int, run: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
     """A start whose worker is killed is run again; killed twice, it is named, and run by --resume."""
     given = {"objective": "participation", "free": ["gamma"], "bounds": {"gamma": [0.1, 0.6]}, "starts": 3}
-    scene, answer, killed = chain(6, gamma=0.3, g=1.0), Worker._answer, list[Worker]()
-
-    def kill(self: Worker, *options: Any) -> Any:
-        if self.process is not None and len(killed) < times and self in (killed or [self]):
-            killed.append(self)
-            self.process.kill()
-        return answer(self, *options)
-
-    monkeypatch.setattr(Worker, "_answer", kill)
+    scene, killed = chain(6, gamma=0.3, g=1.0), killing(monkeypatch, times)
     done = run(scene + table("search", workers=2, **given), status=int(times == 2))
     assert ("on a bound" in done.out, len(killed)) == (True, times)
     if times == 2:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from apart import killing
 from scipy.optimize import brentq
 
 import casadi_skin.optimise.kick
@@ -24,7 +25,7 @@ from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.optimise.kick import KickError, SmallestKick, kick_norm
 from casadi_skin.optimise.kick_nlp import reach
 from casadi_skin.optimise.search_problem import CosineOrbit
-from casadi_skin.solve.processes import SearchProgress, Worker
+from casadi_skin.solve.processes import SearchProgress
 
 
 @cache
@@ -243,15 +244,7 @@ def test_processes_find_the_same_optima(given: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_start_whose_worker_is_killed_is_run_again(times: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    answer, killed = Worker._answer, list[Worker]()
-
-    def kill(self: Worker, *options: Any) -> Any:
-        if self.process is not None and len(killed) < times and self in (killed or [self]):
-            killed.append(self)
-            self.process.kill()
-        return answer(self, *options)
-
-    monkeypatch.setattr(Worker, "_answer", kill)
+    killed = killing(monkeypatch, times)
     kick = smallest_kick(breather(), found().time, starts=4, workers=2)
     assert (len(killed), kick.tried, kick.interrupted) == (times, 5 - times, False)
     assert kick.norm == pytest.approx(found().norm)

@@ -6,6 +6,7 @@ of two components for each wave: x' = (J(t) + kappa_j D) x with kappa_j the eige
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -74,6 +75,7 @@ def test_a_homogeneous_oscillation_has_the_multipliers_of_its_waves(cells: int) 
     assert found.trivial == 1
     assert found.monodromy is None
     assert found.stable
+    assert not replace(found, beyond=np.inf).stable  # where nothing is known of those that are left out
     assert np.all(apart(found.others, exact) <= found.other_errors + 1e-12)
     assert np.all(found.other_errors < 1e-11)
     assert found.others.size >= leading.FEWEST
