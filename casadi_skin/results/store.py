@@ -26,6 +26,7 @@ from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, Self, TypeVar
+from weakref import finalize
 
 import msgspec
 import numpy as np
@@ -301,13 +302,14 @@ class Journal(Generic[Record]):
         with mapped(path) as data:
             self.end, self.fault = scan(data, decoder, keep)
         self._file = os.fdopen(opened_in_place(path), "r+b", buffering=0)
+        self._close = finalize(self, self._file.close)  # also where an interruption comes before __exit__ closes it
         self._file.truncate(self.end)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
+        self._close()
 
     def append(self, record: msgspec.Struct) -> None:
         """Write one record and wait until it is on the disk; raises OSError, with the journal as it was."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import struct
@@ -9,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Set
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import msgspec
 import numpy as np
@@ -343,3 +345,12 @@ def test_a_record_that_cannot_be_written_leaves_the_journal_whole(
         journal.append(record)
     with Journal(path, decoder) as journal:
         assert (journal.records, journal.fault) == ([record, record], "")
+
+
+def test_a_journal_that_an_interruption_keeps_from_being_closed_closes_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Journal, "__exit__", Mock(side_effect=KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt), Journal(tmp_path / "journal", msgspec.msgpack.Decoder(CycleRecord)):
+        pass
+    gc.collect()  # the warning of a file that nobody closed fails this test
