@@ -70,13 +70,15 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "to_dataframe": "results.present:to_dataframe",
         "to_xarray": "results.present:to_dataset",
     },
-    "Solution": {"follow": "follow.follow:follow"},
+    "Solution": {"follow": "follow.follow:follow", "gradient": "points.gradient:gradient_of"},
     "Orbit": {"certify": "certify.certify:certify", "certify_stability": "certify.stability:certify_stability"},
     "SpecialPoint": {
         "curve": "points.curves:curve",
         "follow": "points.switch:switch",
+        "gradient": "points.gradient:gradient",
         "lost_symmetries": "points.lost_symmetry:lost_at",
         "normal_form": "follow.normal_forms:critical",
+        "spread": "points.gradient:spread",
     },
     "Branch": {
         "certify": "certify.stretch:certify_branch",

@@ -10,9 +10,11 @@ import numpy as np
 from casadi_skin.certify.certificate import Certificate, ProvedStability, ProvedStretch
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.lattice.linear import Bands, LatticeModes
+from casadi_skin.model.arguments import with_error
 from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.search import ParetoFront, SearchResult
 from casadi_skin.optimise.search_problem import Optimum
+from casadi_skin.points.gradient import Gradient
 from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
 from casadi_skin.results.figures.evolutions import sizes_of
@@ -227,6 +229,20 @@ def _(result: SmallestKick) -> words.Shown:
 
     title, table = f"Smallest kick of {words.model_words(result.orbit.model)}", {"site": sites, **columns}
     return words.Shown(title, [*rows, ("status", result.status)], draw, "the smallest kick", lambda: table)
+
+
+@words.show.register
+def _(result: Gradient) -> words.Shown:
+    names, slopes, errors = list(result), np.array(list(result.values())), np.array(list(result.errors.values()))
+    rows = [(name, with_error(result[name], result.errors[name])) for name in names] + [("held", result.held)]
+
+    def draw(axes: Axes) -> None:
+        axes.bar([plain(name) for name in names], slopes, yerr=errors, fill=False)
+        axes.axhline(0.0, color="0.7", lw=0.7, zorder=0)
+        axes.set(xlabel="parameter", ylabel=f"derivative of {plain(result.of)}")
+
+    table = {"parameter": names, "derivative": slopes, "error": errors}
+    return words.Shown(f"Gradient of {result.of}", rows, draw, "derivatives by parameters", lambda: table)
 
 
 # Lattices: spreading of energy, linear modes, bands -------------------------------------------------------------------

@@ -66,6 +66,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "points.curves": "OrbitCurveSpace",
     "points.diagram": "Diagram",
     "points.edges": "EdgeCurve EdgePoint",
+    "points.gradient": "Gradient",
     "stability.growth": "TransientGrowth",
     "stability.result": "ContinuousSpectrum CutTail Floquet",
     "stability.tongues.diagram": "Passage Place StabilityDiagram StabilityEdge StableWindow Tongue",
@@ -152,6 +153,13 @@ def _(value: np.ndarray, _: Writer) -> Any:
     return ["array", array.dtype.str, list(value.shape), array.tobytes()]
 
 
+@written.register(Mapping)
+def _(value: Any, writer: Writer) -> Any:
+    if is_dataclass(value):  # a result that is a mapping too
+        return written.dispatch(object)(value, writer)
+    return ["map", {str(name): writer.value(v) for name, v in value.items()}]
+
+
 @written.register
 def _(value: Point, writer: Writer) -> Any:
     return ["point", *_problem_of(value, writer), writer.named_fields(value, "problem")]
@@ -166,7 +174,6 @@ written.register(complex, lambda value, _: ["complex", value.real, value.imag])
 written.register(Enum, lambda value, _: ["enum", name_of(value), value.name])
 written.register(tuple, lambda value, writer: ["tuple", *map(writer.value, value)])
 written.register(list, lambda value, writer: ["list", *map(writer.value, value)])
-written.register(Mapping, lambda value, writer: ["map", {str(name): writer.value(v) for name, v in value.items()}])
 written.register(Refinement, lambda value, writer: ["refinement", *_problem_of(value, writer), writer.value(value.z)])
 
 

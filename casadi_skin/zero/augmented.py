@@ -210,10 +210,10 @@ class Augmented(Problem):
                 change = self._change(z, direction)[inside]
                 for i, psi in enumerate(border.left.T):
                     found[i, j] -= np.bincount(own_columns, psi[copy * rows :][own_rows] * change, self.size)
-            found[:, j] += self._further_slopes(z, border.left, v)
+            found[:, j] += self.further_slopes(z, border.left, v)
         return found.reshape(-1, self.size)
 
-    def _further_slopes(self, z: Array, left: Array, v: Array) -> Array:
+    def further_slopes(self, z: Array, left: Array, v: Array) -> Array:
         """The part of what is in B beside the Jacobian, shape (left, size)."""
         return np.zeros((left.shape[1], self.size))
 
@@ -327,20 +327,26 @@ class SingularProblem(Augmented, BoundaryProblem):
         order: Indices = self.kept("order", made)
         return order
 
-    def _further_slopes(self, z: Array, left: Array, v: Array) -> Array:
+    def further_slopes(self, z: Array, left: Array, v: Array) -> Array:
         """That of the closing rows of a torus, by kappa and by the velocity at the start."""
         n, given = self.formulation.states, self.singularity
         if given.kind != TORUS:
-            return super()._further_slopes(z, left, v)
+            return super().further_slopes(z, left, v)
         closing = left[2 * (self.states - n) + n :]
         found = np.zeros((left.shape[1], self.size))
         found[:, self.added_index] = 2.0 * closing[:n].T @ v[self.states :][:n]
         if given.autonomous:
             at_start = self.formulation.field_function(0.0, z[:n], z[self.states :], self.values)
-            by_velocity = closing[:n].T * v[-1] - closing[n + 1 :].T * v[:n] / given.sizes**2
+            by_velocity = self.velocity_weights(left, v)
             found[:, :n] += by_velocity @ np.array(at_start[1])
             found[:, self.states :] += by_velocity @ np.array(at_start[2])
         return found
+
+    def velocity_weights(self, left: Array, v: Array) -> Array:
+        """What the velocity at the start of an autonomous orbit is multiplied by there, shape (left, components)."""
+        n, given = self.formulation.states, self.singularity
+        closing = left[2 * (self.states - n) + n :]
+        return np.asarray(closing[:n].T * v[-1] - closing[n + 1 :].T * v[:n] / given.sizes**2)
 
     def _place(self, equation: int, z: Array) -> str:
         if equation >= self.equations:
@@ -399,8 +405,8 @@ class SingularRest(Augmented, AlgebraicProblem):
         slopes = self.filled(super().evaluate(z)[1])[n:] * self.lengths(z)
         return float(np.linalg.norm(dense(self.rates(z)) * units / units[:, None]) + np.max(np.abs(slopes)))
 
-    def _further_slopes(self, z: Array, left: Array, v: Array) -> Array:
-        found, n = super()._further_slopes(z, left, v), self.equations
+    def further_slopes(self, z: Array, left: Array, v: Array) -> Array:
+        found, n = super().further_slopes(z, left, v), self.equations
         if self.singularity.kind == HOPF:
             found[:, self.added_index] = -left[n : 2 * n].T @ v[:n]
         return found

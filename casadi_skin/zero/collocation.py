@@ -207,6 +207,12 @@ class CollocationEquations(Problem):
         self._interpolate_all(z[None], fractions, found[None])
         return found
 
+    def weights_at(self, fraction: float) -> tuple[Indices, Array]:
+        """Columns of state values, and their weights in the state at a fraction of the interval."""
+        at = np.array([fraction]).tobytes()
+        columns, weights = _weights.__wrapped__(self.constants.tobytes(), self.table.ends.tobytes(), at)
+        return columns[0], weights[0]
+
     def _interpolate_all(self, z: Array, fractions: Array, found: Array) -> None:
         """Several solutions (any, size) likewise, to the first numbers of each of the arrays `found`."""
         count = self.formulation.states * fractions.size

@@ -141,6 +141,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Floquet": lambda: cycle().floquet(),
     "Floquet at an edge": lambda: endless().floquet(),
     "Floquet of a family": lambda: member().floquet(),
+    "Gradient": lambda: cycle().gradient("period"),
     "LatticeModes": lambda: lattice_modes(RING),
     "Orbit": cycle,
     "ParetoFront": front,

@@ -1,0 +1,429 @@
+"""The derivatives of located values and of quantities of solutions by all other parameters, with their errors.
+
+A special point is a regular solution of its augmented problem (see `zero.augmented`), of which the parameter that it
+was found in is one unknown, and an orbit of its own equations: by one adjoint solve each, see `zero.adjoint`. The error
+is the distance from the derivatives on a coarser mesh, and what rounding of the solution and of the linear equations
+changes, drawn at random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_skin.follow.boundary_space import BoundarySpace
+from casadi_skin.follow.find import restated, scalar_of
+from casadi_skin.follow.follow import held_space
+from casadi_skin.follow.normal_forms import critical_angle
+from casadi_skin.follow.solution import Solution
+from casadi_skin.follow.space import FAMILY
+from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, SpecialPoint, locate, locate_rest
+from casadi_skin.model.amplitude import amplitude_square
+from casadi_skin.model.arguments import accepted_names, by_name, with_error
+from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
+from casadi_skin.model.result import Result, in_turn
+from casadi_skin.solve.bordered import BorderedSolver
+from casadi_skin.zero.adjoint import Equations, derivatives
+from casadi_skin.zero.kinds import BRANCH_POINT, HOPF
+from casadi_skin.zero.linearised import Linearised, null_vectors
+from casadi_skin.zero.problem import EPSILON, Array, Problem
+from casadi_skin.zero.rest import AlgebraicProblem
+from casadi_skin.zero.stated_problem import PERIOD
+
+ROUNDING_PROBES = 6  # solutions and linear equations off by rounding, of signs drawn at random
+WIDER_DIFFERENCES = 2.0  # times the steps of differences of a program's derivatives, for their error
+UNFOLDING_DEVIATIONS = 100.0  # of rounding: a push of the equations beyond it, by which a branch point becomes none
+MULTIPLIER_STEPS = 3  # of inverse iteration with the multiplier's own correction, quadratic each
+EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
+Target = Callable[[Any, Array], tuple[float, Array, Array]]  # value, derivatives by unknowns and by parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Gradient(Result, Mapping[str, float]):
+    """Derivatives of a value by parameters, by their names: a mapping.
+
+    Attributes:
+        of: what the value is, in words.
+        value: the value.
+        slopes: the derivatives by name; NaN where the point is none at other values of the parameter.
+        errors: their estimated absolute errors by name.
+        held: what keeps its value, in words.
+    """
+
+    of: str
+    value: float
+    slopes: Mapping[str, float]
+    errors: Mapping[str, float]
+    held: str
+
+    def __repr__(self) -> str:
+        words = ", ".join(f"{name} {with_error(value, self.errors[name])}" for name, value in self.slopes.items())
+        return f"<Gradient of {self.of}: {words or 'no other parameters'}>"
+
+    def __getitem__(self, name: str) -> float:
+        """The derivative by a parameter."""
+        return self.slopes[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.slopes)
+
+    def __len__(self) -> int:
+        return len(self.slopes)
+
+    def spread(self, covariance: Mapping[str, float] | ArrayLike) -> float:
+        """The standard deviation of the value to first order in that of the parameters.
+
+        Arguments:
+            covariance: standard deviations of independent parameters by name, others are exact; or the covariance
+                matrix of all parameters in the order of this mapping, shape (parameters, parameters).
+
+        Returns:
+            sqrt(g^T C g), in units of the value.
+
+        Raises:
+            ValueError, TypeError: the argument is neither.
+        """
+        names, g = list(self.slopes), np.array(list(self.slopes.values()))
+        if isinstance(covariance, Mapping):
+            given = by_name("covariance", covariance, "standard deviations")
+            for name in given:
+                if name not in self.slopes:
+                    raise ValueError(f"covariance: given {name}; {accepted_names(name, names)}")
+            deviations = [(self.slopes[name], float(value)) for name, value in given.items()]
+            if not all(value >= 0.0 for _, value in deviations):
+                raise ValueError("covariance: given a standard deviation below 0; accepted: numbers >= 0")
+            return float(np.sqrt(sum((slope * value) ** 2 for slope, value in deviations if value > 0.0)))
+        C = np.asarray(covariance, dtype=float)
+        if C.shape != (g.size, g.size) or not np.allclose(C, C.T):
+            accepted = f"a symmetric matrix of shape ({g.size}, {g.size}), or standard deviations by name"
+            raise ValueError(f"covariance: given shape {C.shape}; accepted: {accepted}")
+        return float(np.sqrt(g @ C @ g))
+
+
+@in_turn
+def gradient(point: SpecialPoint) -> Gradient:
+    """The derivatives of the located value of a special point by all other parameters, the point staying one.
+
+    Arguments:
+        point: a fold, a Hopf point or a branch point of equilibria; of orbits and boundary-value problems a fold, a
+            period doubling, a torus or a branch point.
+
+    Returns:
+        {parameter: derivative} with `errors`; NaN by a parameter that makes a branch point none.
+
+    Raises:
+        ValueError: the point is of another kind.
+        ArithmeticError: its equations are not solved again, or singular.
+    """
+    solution, name = point.solution, point.parameter
+    space: Any = solution.space
+    if point.mu is not None or space.connects == FAMILY or space.kind or not point.has_curve:
+        accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in one parameter"
+        raise ValueError(f"gradient: given a {point.kind}; accepted: {accepted}")
+    if solution.is_equilibrium:
+        located = locate_rest(space, point.kind, solution.point.z, 1j * point.frequency if point.kind == HOPF else None)
+        extent = space.course.extent
+    else:
+        located = locate(space, point.kind, solution.point, critical_angle(point.kind, solution))
+        extent = 1.0
+    if located is None:
+        raise ArithmeticError(f"{space.model.name}: the {point.kind} is not found again: its equations are not solved")
+
+    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
+        return _unknown(problem, z, problem.first_index, extent)
+
+    at, better = located.point, located.point.better
+    finer = (better.problem, better.z) if better is not None and better.problem is not at.problem else None
+    names = [known for known in space.model.parameter_names if known != name]
+    pushed = at.problem.added_index if point.kind == BRANCH_POINT else None
+    values, errors = _with_errors(target, (at.problem, at.z), finer, names, pushed)
+    value, held = point.parameters[name], f"all parameters but {name}, and that the point is a {point.kind}"
+    return Gradient(f"{name} at the {point.kind}", value, values, errors, held)
+
+
+@in_turn
+def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None) -> Gradient:
+    """The derivatives of a quantity of a solution by all parameters that it was solved at.
+
+    Arguments:
+        solution: an equilibrium, an orbit, or a solution of a boundary-value problem, also one of a curve of special
+            points; an orbit of a family is first solved again as a boundary-value problem at its S.
+        quantity: the name of a free parameter, "period" and "Omega" among them; of a state, at the start or at phase
+            zero; of a state with "_min" or "_max" after it; "energy" and "S"; "max_abs_multiplier", of equilibria
+            "max_growth"; or an expression in states and parameters, as `monitors` of `follow` are, at the start.
+        fixed: "period" or "frequency", as in `follow`: what keeps its value in place of what picks the orbit from
+            its family.
+
+    Returns:
+        {parameter: derivative} with `errors`: each with all other parameters held.
+
+    Raises:
+        ValueError: the solution has no such quantity, or has an objective.
+        ArithmeticError: the solution is not regular, as at a fold.
+    """
+    space: Any = solution.space
+    if space.connects == FAMILY:
+        solution = restated(solution, "")
+        space = solution.space
+    if space.optimises:
+        raise ValueError("gradient: given a solution with an objective; accepted: one without")
+    point, problem = solution.point, solution.point.problem
+    if fixed is not None:
+        stated = space.statement.with_parameters(**solution.parameters)
+        space = held_space(replace(space, statement=stated), fixed)
+        problem = space.levels.problem(problem.resolution).with_constants(problem.constants)
+    target, words = _target(space, solution, quantity)
+    finer = None
+    if not isinstance(problem, AlgebraicProblem):
+        above = space.levels.finer(problem)
+        finer = None if above is None else (above, problem.prolong(point.z, above))
+    free = set(space.free)
+    names = [name for name in space.model.parameter_names if name not in free]
+    at = problem, _polished(problem, point.z, 1)
+    values, errors = _with_errors(target, at, finer, names)
+    picked = "" if fixed is None else f", and the {fixed}"
+    return Gradient(words, target(*at)[0], values, errors, f"all other parameters{picked}")
+
+
+@in_turn
+def spread(point: SpecialPoint, covariance: Mapping[str, float] | ArrayLike) -> float:
+    """The standard deviation of the located value to first order; see `Gradient.spread`."""
+    return gradient(point).spread(covariance)
+
+
+def _polished(problem: Problem, z: Array, steps: int) -> Array:
+    """A solution after Newton steps with u held."""
+    for _ in range(steps):
+        solve = BorderedSolver.of(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
+        z = z - solve(np.append(problem.evaluate(z)[0], 0.0))
+    return z
+
+
+def _with_errors(
+    target: Target, at: tuple[Any, Array], finer: tuple[Any, Array] | None, names: Sequence[str],
+    pushed: int | None = None,
+) -> tuple[dict[str, float], dict[str, float]]:  # fmt: skip
+    """Derivatives of a target by the named parameters, of the finer mesh where there is one, and their errors."""
+
+    def found(problem: Any, z: Array, widening: float = 1.0, noise: np.random.Generator | None = None) -> Array:
+        equations = Equations.of(problem, widening)
+        _, by_z, by_c = target(problem, z)
+        rows, own = [by_z], [by_c]
+        if pushed is not None:
+            rows.append(np.eye(1, z.size, pushed)[0])
+            own.append(np.zeros(by_c.size))
+        chosen = [equations.names.index(name) for name in names]
+        return derivatives(equations, z, np.array(rows), np.array(own), noise)[:, chosen]
+
+    own = best = found(*at)
+    problem, z = at
+    if finer is not None:
+        problem, z = finer[0], _polished(*finer, 2)
+        best = found(problem, z)
+    off, generator = np.abs(best - own), np.random.default_rng(0)
+    if not Equations.of(problem).exact:
+        off = off + np.abs(found(problem, z, WIDER_DIFFERENCES) - best)
+    solve = BorderedSolver.of(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
+    rounding, probes = np.broadcast_to(problem.rounding(z), problem.size - 1), []
+    for _ in range(ROUNDING_PROBES):
+        signs = generator.choice([-1.0, 1.0], problem.size - 1)
+        moved = z - solve(np.append(signs * rounding, 0.0))
+        probes.append(found(problem, moved, noise=generator) - best)
+    spread = np.sqrt(np.mean(np.array(probes) ** 2, axis=0))
+    errors, values = (off + ROUNDING_DEVIATIONS * spread + EPSILON * np.abs(best))[0], best[0]
+    if pushed is not None:
+        values = np.where(np.abs(best[1]) > UNFOLDING_DEVIATIONS * spread[1], np.nan, values)
+    return dict(zip(names, values.tolist(), strict=True)), dict(zip(names, errors.tolist(), strict=True))
+
+
+# Quantities: their values and derivatives by the unknowns and by the parameters ---------------------------------------
+
+
+def _unknown(problem: Any, z: Array, index: int, factor: float = 1.0) -> tuple[float, Array, Array]:
+    """A multiple of an unknown."""
+    by_z = np.zeros(z.size)
+    by_z[index] = factor
+    return factor * float(z[index]), by_z, np.zeros(len(Equations.of(problem).names))
+
+
+def _target(space: Any, solution: Solution, quantity: Any) -> tuple[Target, str]:
+    """A quantity of a solution, and its name in words; raises ValueError for one that it has not."""
+    model, free = space.model, list(space.free)
+    states = list(space.state_names)
+    if not isinstance(quantity, str):
+        scalar = ca.densify(scalar_of("quantity", quantity, model))
+        return _at_start(space, model.function("quantity", scalar)), "an expression"
+    known: dict[str, Target] = {}
+    if solution.is_equilibrium:
+        known |= {name: _free(name) for name in free}
+        known |= {name: _component_at_rest(k) for k, name in enumerate(states)}
+        if not space.kind:
+            known["max_growth"] = _growth
+    else:
+        known |= {name: _free(name) for name in free}
+        full = model.full_state
+        for k, name in enumerate(states):
+            known.setdefault(name, _at_start(space, model.function("state", full[k])))
+            for sign, end in ((1.0, "max"), (-1.0, "min")):
+                known[f"{name}_{end}"] = _extreme(space, k, sign)
+        if solution.is_orbit:
+            known |= _of_orbit(space, solution, free)
+    if quantity not in known:
+        raise ValueError(f"quantity: given {quantity}; {accepted_names(quantity, known)}")
+    return known[quantity], quantity
+
+
+def _free(name: str) -> Target:
+    """A parameter that is found with the solution."""
+
+    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
+        equations = Equations.of(problem)
+        _, by_z, by_c = _unknown(problem, z, *equations.unknowns()[name])
+        return float(problem.parameters(z)[equations.names.index(name)]), by_z, by_c
+
+    return target
+
+
+def _component_at_rest(k: int) -> Target:
+    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
+        return _unknown(problem, z, k, float(problem.scale[k]))
+
+    return target
+
+
+def _growth(problem: Any, z: Array) -> tuple[float, Array, Array]:
+    """The largest real part of an eigenvalue: d lambda = psi^H dA v / psi^H v."""
+    from scipy.linalg import eig
+
+    statics, n = problem.statics, problem.states
+    A = statics.jacobian(problem.state(z), problem.parameters(z)) * problem.scale / problem.scale[:, None]
+    values, left, right = eig(A, left=True)
+    second = statics.model.order == 2
+    growth = np.sqrt(values.astype(complex)) if second else values
+    k = int(np.argmax(growth.real))
+    psi, v = left[:, k].conj(), np.append(right[:, k], np.zeros(z.size - n))
+    found = Equations.of(problem).of_pair(z, psi, v)
+    factor = (2.0 * growth[k] if second else 1.0) * (psi @ right[:, k])
+    by_z, by_c = ((part / factor).real for part in found)
+    return float(growth[k].real), by_z, by_c
+
+
+def _of_orbit(space: BoundarySpace, solution: Solution, free: Sequence[str]) -> dict[str, Target]:
+    """Quantities that orbits alone have."""
+    model, found = space.model, dict[str, Target]()
+    if PERIOD in free:
+
+        def Omega(problem: Any, z: Array) -> tuple[float, Array, Array]:
+            period, by_z, by_c = _free(PERIOD)(problem, z)
+            return 2.0 * np.pi / period, -2.0 * np.pi / period**2 * by_z, by_c
+
+        found["Omega"] = Omega
+    if model.hamiltonian is not None:
+        found["energy"] = _at_start(space, model.function("energy", ca.densify(model.hamiltonian)))
+    if space.positions:
+        amplitude = amplitude_square(space.given)
+        S = ca.Function("S", [amplitude.state], [amplitude.form])(model.full_state[: space.positions])
+        found["S"] = _at_start(space, model.function("S", S))
+    if space.symmetry is SymmetryClass.FULL:
+        found["max_abs_multiplier"] = _multiplier(solution)
+    return found
+
+
+def _at_start(space: Any, function: ca.Function) -> Target:
+    """A function (t, x, p) of the state at phase zero, at the start of an interval or of an equilibrium."""
+    symbols = [type(space.model.state).sym(name, *function.size_in(k)) for k, name in enumerate("txp")]
+    value = function(*symbols)
+    slopes = ca.Function("slopes", symbols, [value, *(ca.densify(ca.gradient(value, s)) for s in symbols[1:])])
+
+    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
+        names, by_z = Equations.of(problem).names, np.zeros(z.size)
+        values = dict(zip(names, problem.parameters(z), strict=True))
+        rest = isinstance(problem, AlgebraicProblem)
+        count = problem.states if rest else problem.formulation.states
+        x, p = problem.state(z) if rest else z[:count], [values[name] for name in space.model.parameter_names]
+        whole = np.zeros(function.size1_in(1))  # a model of second order rests with its velocities zero
+        whole[:count] = x[: whole.size]
+        value, by_x, by_p = (np.array(part).ravel() for part in slopes(0.0, whole, p))
+        by_z[:count] = by_x[:count] * (problem.scale if rest else 1.0)
+        equations, by_c = Equations.of(problem), np.zeros(len(names))
+        for name, slope in zip(space.model.parameter_names, by_p, strict=True):
+            if name in equations.unknowns():
+                index, rate = equations.unknowns()[name]
+                by_z[index] += rate * slope
+            else:
+                by_c[names.index(name)] = slope
+        return float(value[0]), by_z, by_c
+
+    return target
+
+
+def _extreme(space: Any, k: int, sign: float) -> Target:
+    """The largest or smallest value of a component; the derivative by its place vanishes, or it is an end."""
+
+    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
+        from scipy.optimize import brentq
+
+        periodic, count = space.periodic, problem.resolution * EXTREMUM_PLACES
+        f = problem.formulation.field_function
+
+        def whole(turn: Array) -> tuple[Array, Array]:
+            """Fractions of what is solved for, and signs of the component."""
+            if periodic is None:
+                return np.asarray(turn), np.ones(np.size(turn))
+            fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, 2.0 * np.pi * np.asarray(turn))
+            return fractions, signs[:, k]
+
+        def slope(turn: float) -> float:
+            (fraction,), _ = whole(np.array([turn]))
+            x = problem.sample(z, np.array([fraction]))[0]
+            return float(f(fraction, x, *problem.repeated(z, 1))[0][k])
+
+        turns = np.linspace(0.0, 1.0, count + 1)
+        fractions, signs = whole(turns)
+        values = sign * signs * problem.sample(z, fractions)[:, k]
+        at = int(np.argmax(values))
+        place, low, high = turns[at], turns[at] - 1.0 / count, turns[at] + 1.0 / count
+        if periodic is not None or 0 < at < count:
+            lows, highs = slope(low % 1.0), slope(high % 1.0)
+            if lows * highs < 0.0 and np.ptp(whole(np.array([low % 1.0, place % 1.0, high % 1.0]))[1]) == 0.0:
+                place = brentq(lambda turn: slope(turn % 1.0), low, high, xtol=1e-14) % 1.0
+        (fraction,), (factor,) = whole(np.array([place]))
+        by_z = np.zeros(z.size)
+        columns, weights = problem.weights_at(float(fraction))
+        by_z[: problem.states].reshape(problem.columns, -1)[columns, k] = factor * weights
+        return float(by_z @ z), by_z, np.zeros(len(Equations.of(problem).names))
+
+    return target
+
+
+def _multiplier(solution: Solution) -> Target:
+    """The largest modulus of a multiplier but the trivial ones: v(1) = mu v(0), d mu = psi^H dB v / psi_1^H v(0)."""
+
+    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
+        from scipy.sparse import csc_matrix, diags, eye, hstack, vstack
+
+        others = solution.floquet().others
+        if not others.size:
+            raise ValueError("quantity: given max_abs_multiplier of an orbit without others than the trivial ones")
+        mu, n, k = complex(others[np.argmax(np.abs(others))]), problem.formulation.states, problem.states
+        mu = mu if mu.imag else mu.real
+        field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k]
+        for _ in range(MULTIPLIER_STEPS):
+            B = vstack([field, hstack([-mu * eye(n), csc_matrix((n, k - 2 * n)), eye(n)])])
+            B = (diags(1.0 / np.roll(sizes, -n)) @ B @ diags(sizes)).tocsc()
+            v, psi = null_vectors(B)
+            left = psi.conj()
+            product = left[k - n :] @ v[:n]
+            mu = mu + (left @ (B @ v)) / product
+        left, way = np.zeros(problem.equations, dtype=left.dtype), np.append(v * sizes, np.zeros(z.size - k))
+        left[: k - n] = psi.conj()[: k - n] / sizes[n:]
+        turned = np.conj(mu) / abs(mu) / product
+        by_z, by_c = ((turned * part).real for part in Equations.of(problem).of_pair(z, left, way))
+        return float(abs(mu)), by_z, by_c
+
+    return target

@@ -1,0 +1,352 @@
+"""Derivatives of located values and of quantities of orbits: closed forms, slopes of curves, differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from critical_models import across_circle, cycles_with_fold
+from equilibrium_models import ab, symbols
+from programs import Program
+from small_models import limit_cycle
+
+from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit, follow_family
+
+
+def is_close(gradient: Any, exact: Mapping[str, float], largest: float = 1e-9) -> None:
+    """The derivatives are the exact ones within their errors, which are small."""
+    assert list(gradient) == list(exact)
+    for name, value in exact.items():
+        rounding = 4e-16 * abs(value)
+        assert abs(gradient[name] - value) <= gradient.errors[name] + rounding, (name, gradient[name] - value)
+        assert gradient.errors[name] <= largest * max(1.0, abs(value)), (name, gradient.errors[name])
+
+
+def by_differences(located: Callable[..., float], values: Mapping[str, float], name: str, step: float) -> float:
+    """The fourth-order central difference of a located value."""
+    a, b, c, d = (located(**{**values, name: values[name] + k * step}) for k in (1.0, -1.0, 2.0, -2.0))
+    return (8.0 * (a - b) - (c - d)) / (12.0 * step)
+
+
+# Special points of equilibria -----------------------------------------------------------------------------------------
+
+
+def lorenz(units: tuple[float, ...] = (1.0, 1.0, 1.0), parameter: float = 1.0) -> Any:
+    """The first Hopf point of Lorenz' equations in r, states in other units, sigma in units of `parameter`."""
+    x, y, z, r, sigma, beta = symbols("x y z r sigma beta")
+    u, v, w = (unit * one for unit, one in zip(units, (x, y, z), strict=True))
+    s = parameter * sigma
+    rates = [s * (v - u), r * u - v - u * w, u * v - beta * w]
+    rhs = ca.vertcat(*(rate / unit for rate, unit in zip(rates, units, strict=True)))
+    model = OdeModel("Lorenz", ca.vertcat(x, y, z), rhs, ca.vertcat(r, sigma, beta))
+    values = {"r": 20.0, "sigma": 10.0 / parameter, "beta": 8.0 / 3.0}
+    rest = np.array([np.sqrt(19.0 * 8.0 / 3.0)] * 2 + [19.0]) / units
+    return find_equilibrium(model, rest, parameters=values).follow("r", 28.0).special_points[0]
+
+
+LORENZ = {"sigma": 0.146814404432134, "beta": 5.484764542936286}
+
+
+def test_the_hopf_point_of_lorenz_equations_moves_as_in_closed_form() -> None:
+    """r = sigma (sigma + beta + 3) / (sigma - beta - 1)."""
+    found = lorenz().gradient()
+    is_close(found, LORENZ, largest=1e-11)
+    assert "all parameters but r" in found.held
+    assert found.value == pytest.approx(24.736842105263158, abs=1e-12)
+
+
+def test_units_of_states_and_parameters_do_not_matter() -> None:
+    found = lorenz((1e-7, 1e5, 3e-3), 1e6).gradient()
+    is_close(found, {"sigma": 1e6 * LORENZ["sigma"], "beta": LORENZ["beta"]}, largest=1e-9)
+
+
+def test_the_spread_is_that_of_the_gradient() -> None:
+    found = lorenz().gradient()
+    deviations = {"sigma": 0.1, "beta": 0.01}
+    known = np.hypot(0.1 * LORENZ["sigma"], 0.01 * LORENZ["beta"])
+    assert found.spread(deviations) == pytest.approx(known, rel=1e-12)
+    assert lorenz().spread(np.diag([0.01, 1e-4])) == pytest.approx(known, rel=1e-12)
+    both = np.array([[0.01, 1e-3], [1e-3, 1e-4]])  # fully correlated: deviations add
+    assert found.spread(both) == pytest.approx(0.1 * LORENZ["sigma"] + 0.01 * LORENZ["beta"], rel=1e-12)
+    with pytest.raises(ValueError, match="covariance: given rho"):
+        found.spread({"rho": 1.0})
+    with pytest.raises(ValueError, match=r"accepted: a symmetric matrix of shape \(2, 2\)"):
+        found.spread(np.eye(3))
+
+
+def test_folds_and_branch_points_of_equilibria_move_as_in_closed_form() -> None:
+    """x' = p - a x + b x^3: folds at x^2 = a/(3 b). x' = (p - k^2) x - x^3 + e: e unfolds the branch point."""
+    x, p, a, b = symbols("x p a b")
+    model = OdeModel("cubic", x, p - a * x + b * x**3, ca.vertcat(p, a, b))
+    start = find_equilibrium(model, [-2.0], parameters={"p": 5.0, "a": 1.3, "b": 0.7})
+    folds = [point for point in start.follow("p", -5.0).special_points if point.kind == "fold"]
+    assert len(folds) == 2
+    for fold in folds:
+        at = float(fold.solution["x"])
+        is_close(fold.gradient(), {"a": at, "b": -(at**3)}, largest=1e-11)
+    x, p, k, e = symbols("x p k e")
+    model = OdeModel("pitchfork", x, (p - k**2) * x - x**3 + e, ca.vertcat(p, k, e))
+    (point,) = (
+        find_equilibrium(model, [0.0], parameters={"p": -1.0, "k": 0.6, "e": 0.0}).follow("p", 1.0).special_points
+    )
+    found = point.gradient()
+    assert found["k"] == pytest.approx(1.2, abs=1e-12)
+    assert np.isnan(found["e"])
+
+
+def test_folds_and_hopf_points_of_a_reaction_move_along_their_curves_and_as_differences_say() -> None:
+    values = {"p2": 14.0, "p3": 2.0}
+
+    def located(which: int, **parameters: float) -> float:
+        start = find_equilibrium(ab(), [0, 0], parameters={"p": 0.0, **parameters})
+        return float(start.follow("p", 0.2).special_points[which].parameters["p"])
+
+    points = find_equilibrium(ab(), [0, 0]).follow("p", 0.2).special_points
+    for which in (0, 2):
+        found = points[which].gradient()
+        for name in values:
+            known = by_differences(lambda which=which, **given: located(which, **given), values, name, 1e-3)
+            assert found[name] == pytest.approx(known, rel=1e-9)
+        curve = points[which].curve("p2", 14.2)
+        start = curve.solutions[0]
+        assert start.gradient("p")["p2"] == pytest.approx(found["p2"], rel=1e-11)
+
+
+class Planted:
+    """A system seen through random coordinates, whose special equilibrium is at p = h(q), a random polynomial.
+
+    Its block has the normal form of a fold, a branch point or a Hopf point; others decay.
+    """
+
+    def __init__(self, seed: int) -> None:
+        generator = np.random.default_rng(seed)
+        self.kind = ("fold", "branch point", "hopf")[seed % 3]
+        n, m = int(generator.integers(2, 6)), int(generator.integers(1, 4))
+        p, x, q = ca.SX.sym("p"), ca.SX.sym("x", n), ca.vertcat(*(ca.SX.sym(f"q{k}") for k in range(m)))
+        self.names, self.at = [f"q{k}" for k in range(m)], generator.normal(size=m)
+        a, b, c = generator.normal(size=m), generator.normal(size=(m, m)), generator.normal(size=n)
+        place = ca.dot(a, q) + ca.bilin(ca.DM(b), q, q) / 4 + ca.sin(q[0])
+        self.slopes = a + (b + b.T) @ self.at / 4 + np.eye(m)[0] * np.cos(self.at[0])
+        self.place = float(ca.Function("h", [q], [place])(self.at))
+        units = 10.0 ** generator.uniform(-3.0, 3.0, n)
+        seen = units[:, None] * np.linalg.qr(generator.normal(size=(n, n)))[0]
+        u = ca.DM(np.linalg.inv(seen)) @ x
+        away = p - place
+        turn = 1.0 + float(generator.uniform()) + 0.3 * ca.tanh(q[0])
+        decay = [-(1.0 + abs(c[k])) * u[k] + 0.3 * u[0] ** 2 + 0.2 * u[k] * u[0] for k in range(n)]
+        if self.kind == "hopf":
+            s = u[0] ** 2 + u[1] ** 2
+            own = [(away - s) * u[0] - turn * u[1], turn * u[0] + (away - s) * u[1]]
+        else:
+            own = [away - u[0] ** 2 if self.kind == "fold" else away * u[0] - u[0] ** 3]
+        rates = ca.vertcat(*own, *decay[len(own) :])
+        self.model = OdeModel("planted", x, ca.DM(seen) @ rates, ca.vertcat(p, q))
+        self.start = self.place + (0.4 if self.kind == "fold" else -0.4)
+        rest = seen @ np.eye(n)[0] * np.sqrt(0.4) if self.kind == "fold" else np.zeros(n)
+        self.equilibrium = find_equilibrium(
+            self.model, rest, parameters={"p": self.start, **dict(zip(self.names, self.at, strict=True))}
+        )
+
+    def point(self) -> Any:
+        to = self.place + (-0.3 if self.kind == "fold" else 0.4)
+        found = [one for one in self.equilibrium.follow("p", to).special_points if one.kind == self.kind]
+        return found[0]
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_errors_of_a_hundred_planted_points_are_never_below_the_truth(part: int) -> None:
+    for seed in range(25 * part, 25 * part + 25):
+        planted = Planted(seed)
+        is_close(planted.point().gradient(), dict(zip(planted.names, planted.slopes, strict=True)), largest=1e-8)
+
+
+# Special points of orbits ---------------------------------------------------------------------------------------------
+
+
+def circle(model: OdeModel, size: int, **parameters: float) -> Any:
+    guess = lambda t: [np.cos(t), np.sin(t), *[0.0] * (size - 2)]  # noqa: E731
+    return find_orbit(model, guess, 2.0 * np.pi, parameters=parameters, corrector="newton", tolerance=1e-10)
+
+
+def test_a_fold_of_cycles_moves_as_in_closed_form() -> None:
+    """mu = -a^2/4."""
+    model = cycles_with_fold()
+    r = np.sqrt((1.0 + np.sqrt(1.4)) / 2.0)
+    guess = lambda t: [r * np.cos(t), r * np.sin(t)]  # noqa: E731
+    orbit = find_orbit(model, guess, 2 * np.pi, parameters={"mu": 0.1, "a": 1.0}, tolerance=1e-10)
+    branch = orbit.follow("mu", -0.3, until=lambda one: one.point.special == "fold")
+    is_close(branch.special_points[-1].gradient(), {"a": -0.5}, largest=1e-10)
+
+
+def test_a_period_doubling_moves_as_in_closed_form() -> None:
+    """a = k^2 + sin k, on a band of Moebius."""
+    rates = lambda xi, eta, a, k: (-xi + 0.5 * xi * eta**2, (a - k**2 - ca.sin(k)) * eta - eta**3)  # noqa: E731
+    k = 0.4
+    branch = circle(across_circle(rates, half=True), 3, a=-0.3, k=k).follow("a", 1.0, stability=True)
+    point = next(one for one in branch.special_points if one.kind == "period doubling")
+    found = point.gradient()
+    is_close(found, {"k": 2.0 * k + np.cos(k)}, largest=1e-9)
+    curve = point.curve("k", 0.5)
+    assert curve.solutions[0].gradient("a")["k"] == pytest.approx(found["k"], rel=1e-10)
+
+
+def turning(extra: bool = False) -> OdeModel:
+    """The circle with a pair that turns beside it: a torus at a = k^2 + 0.1 k, a branch point at a = 0.5 + k."""
+    x, y, z, u, v, a, k, e = symbols("x y z u v a k e")
+    growth, rate = 1 - x**2 - y**2, a - k**2 - 0.1 * k - u**2 - v**2
+    turn = 0.3 + 0.2 * k * x
+    rhs = [growth * x - (1 + k * z) * y, growth * y + (1 + k * z) * x, (a - 0.5 - k) * z - z**3 + e]
+    rhs += [rate * u - turn * v, turn * u + rate * v]
+    return OdeModel("turning", ca.vertcat(x, y, z, u, v), ca.vertcat(*rhs), ca.vertcat(a, k, e))
+
+
+def test_a_torus_and_a_branch_point_of_cycles_move_as_in_closed_form() -> None:
+    branch = circle(turning(), 5, a=-0.3, k=0.2, e=0.0).follow("a", 1.0, stability=True)
+    torus, other = (next(p for p in branch.special_points if p.kind == kind) for kind in ("torus", "branch point"))
+    is_close(torus.gradient(), {"k": 0.5, "e": 0.0}, largest=1e-8)
+    found = other.gradient()
+    assert abs(found["k"] - 1.0) <= found.errors["k"] < 1e-9
+    assert np.isnan(found["e"])
+
+
+def langford(**given: float) -> Any:
+    """The torus of Langford's equations in rho."""
+    x, y, z, rho, c, w = symbols("x y z rho c w")
+    rhs = [(z - c) * x - w * y, w * x + (z - c) * y, 0.6 + z - z**3 / 3 - (x**2 + y**2) * (1 + rho * z)]
+    model = OdeModel("Langford", ca.vertcat(x, y, z), ca.vertcat(*rhs), ca.vertcat(rho, c, w))
+    guess = lambda t: [0.7 * np.cos(3.5 * t), 0.7 * np.sin(3.5 * t), 0.7]  # noqa: E731
+    values = {"rho": 0.3, "c": 0.7, "w": 3.5, **given}
+    branch = find_orbit(model, guess, 2 * np.pi / 3.5, parameters=values).follow("rho", 0.8, stability=True)
+    return next(point for point in branch.special_points if point.kind == "torus")
+
+
+@pytest.mark.slow
+def test_the_torus_of_langfords_equations_moves_along_its_curve_and_as_differences_say() -> None:
+    point, values = langford(), {"c": 0.7, "w": 3.5}
+    found = point.gradient()
+    for name in values:
+        place = lambda **given: float(langford(**given).parameters["rho"])  # noqa: E731
+        known = by_differences(place, values, name, 5e-3 * values[name])
+        assert found[name] == pytest.approx(known, rel=1e-6, abs=1e-8)
+    curve = point.curve("c", 0.72)
+    assert curve.solutions[0].gradient("rho")["c"] == pytest.approx(found["c"], rel=1e-8)
+
+
+def as_program(model: OdeModel) -> tuple[OdeModel, Program]:
+    """The same model with its equations out of CasADi's sight, their first derivatives known; and these, to be kept."""
+    field = Program(ca.Function("field", [model.state, model.parameters], [ca.densify(model.rhs)]), 1)
+    x, p = ca.MX.sym("x", model.size), ca.MX.sym("p", len(model.parameter_names))
+    named = {"state_labels": model.state_names, "parameter_labels": model.parameter_names}
+    return OdeModel(model.name, x, field(x, p), p, nominal=model.nominal, **named), field
+
+
+def test_special_points_of_a_program_move_as_those_of_its_equations_within_their_errors() -> None:
+    """Second derivatives are differences of its first ones."""
+    model, _kept = as_program(ab())
+    exact = find_equilibrium(ab(), [0, 0]).follow("p", 0.2).special_points
+    found = find_equilibrium(model, [0, 0]).follow("p", 0.2).special_points
+    for point, other in zip(found, exact, strict=True):
+        is_close(point.gradient(), dict(other.gradient()), largest=1e-8)
+    model, _kept = as_program(cycles_with_fold())
+    r = np.sqrt((1.0 + np.sqrt(1.4)) / 2.0)
+    guess = lambda t: [r * np.cos(t), r * np.sin(t)]  # noqa: E731
+    orbit = find_orbit(model, guess, 2 * np.pi, parameters={"mu": 0.1, "a": 1.0}, corrector="newton", tolerance=1e-8)
+    is_close(orbit.gradient("x_max"), {"mu": 0.5 / r / np.sqrt(1.4), "a": 0.5 * r / np.sqrt(1.4)}, largest=1e-7)
+    branch = orbit.follow("mu", -0.3, until=lambda one: one.point.special == "fold")
+    is_close(branch.special_points[-1].gradient(), {"a": -0.5}, largest=1e-6)
+
+
+# Quantities of solutions ----------------------------------------------------------------------------------------------
+
+
+def test_the_period_of_a_pendulum_is_that_of_elliptic_integrals() -> None:
+    """T = 4 K(m) / sqrt(w), m = sin^2(q/2), at an amplitude q that `select` holds; at S = q^2 of its family too."""
+    mpmath = pytest.importorskip("mpmath")
+    q, v, w, size = symbols("q v w size")
+    model = OdeModel("pendulum", ca.vertcat(q, v), ca.vertcat(v, -w * ca.sin(q)), ca.vertcat(w, size),
+                     hamiltonian=v**2 / 2 - w * ca.cos(q))  # fmt: skip
+    orbit = find_orbit(
+        model, lambda t: [1.2 * np.cos(1.3 * t), -1.56 * np.sin(1.3 * t)], 2 * np.pi / 1.3,
+        parameters={"w": 2.0, "size": 1.2}, select=q - size, section=v, tolerance=1e-11,
+    )  # fmt: skip
+    mpmath.mp.dps = 40
+    period = lambda w, size: 4 * mpmath.ellipk(mpmath.sin(size / 2) ** 2) / mpmath.sqrt(w)  # noqa: E731
+    at = mpmath.mpf(2), mpmath.mpf("1.2")
+    exact = [float(mpmath.diff(period, at, order)) for order in ((1, 0), (0, 1))]
+    is_close(orbit.gradient("period"), dict(zip(("w", "size"), exact, strict=True)), largest=1e-10)
+    is_close(orbit.gradient("energy"), {"w": -np.cos(1.2), "size": 2.0 * np.sin(1.2)}, largest=1e-10)
+    is_close(orbit.gradient("q_max"), {"w": 0.0, "size": 1.0}, largest=1e-10)
+    is_close(orbit.gradient("q_min"), {"w": 0.0, "size": -1.0}, largest=1e-10)
+    # At a fixed period the amplitude is what moves: dq/dw = -T_w / T_q.
+    held = orbit.gradient("q_max", fixed="period")
+    assert held["w"] == pytest.approx(-exact[0] / exact[1], rel=1e-10)
+
+
+def test_quantities_of_a_limit_cycle_are_those_of_differences() -> None:
+    orbit = limit_cycle()
+    model = orbit.model
+
+    def at(name: str, mu: float) -> float:
+        found = find_orbit(model, orbit, orbit.period, parameters={"mu": mu}, tolerance=1e-11)
+        if name == "max_abs_multiplier":
+            return float(found.floquet().max_abs_multiplier)
+        return float(found.Omega) if name == "Omega" else float(found.period)
+
+    for name in ("period", "Omega", "max_abs_multiplier"):
+        known = by_differences(lambda mu, name=name: at(name, mu), {"mu": 1.0}, "mu", 2e-3)
+        found = orbit.gradient(name)
+        assert abs(found["mu"] - known) <= found.errors["mu"] + 1e-7 * abs(known)
+    # int div dt = log mu: of van der Pol's cycle mu int (1 - x^2) dt
+    assert orbit.gradient("max_abs_multiplier").value == pytest.approx(orbit.floquet().max_abs_multiplier, rel=1e-9)
+
+
+def test_extremes_of_a_cycle_are_those_of_closed_form_in_any_units() -> None:
+    """The circle of radius sqrt(a), stretched by b: x = b sqrt(a) cos, at any phase."""
+    for unit in (1.0, 1e6):
+        x, y, a, b = symbols("x y a b")
+        u, v = unit * x / b, y
+        growth = a - u**2 - v**2
+        rhs = ca.vertcat((growth * u - 2 * v) * b / unit, growth * v + 2 * u)
+        model = OdeModel("ellipse", ca.vertcat(x, y), rhs, ca.vertcat(a, b))
+        guess = lambda t, unit=unit: [0.7 * 3 / unit * np.cos(2 * t + 0.3), 0.7 * np.sin(2 * t + 0.3)]  # noqa: E731
+        orbit = find_orbit(model, guess, np.pi, parameters={"a": 0.49, "b": 3.0}, tolerance=1e-11)
+        exact = np.array([3.0 * 0.5 / 0.7, 0.7]) / unit
+        for name, sign in (("x_max", 1.0), ("x_min", -1.0)):
+            found = orbit.gradient(name)
+            for slope, known in zip(found.values(), sign * exact, strict=True):
+                assert slope == pytest.approx(known, rel=1e-9)
+
+
+def test_a_free_parameter_of_a_boundary_value_problem_moves_as_in_closed_form() -> None:
+    """x'' = -l k x with x(0) = x(1) = 0 and x'(0) = 1: l = pi^2/k; the largest x is 1/pi sqrt(...) = 1/sqrt(l k)."""
+    x, v, value, k = symbols("x v l k")
+    line = OdeModel("string", ca.vertcat(x, v), ca.vertcat(v, -value * k * x), ca.vertcat(value, k))
+    conditions = [line.start(x), line.end(x), line.start(v) - k]
+    problem = BoundaryValueProblem(line, conditions, parameters={"l": 5.0, "k": 2.0}, free=["l"])
+    found = problem.solve(lambda t: [0.6 * np.sin(np.pi * t), 2.0 * np.cos(np.pi * t)], tolerance=1e-11)
+    is_close(found.gradient("l"), {"k": -(np.pi**2) / 4.0}, largest=1e-9)
+    is_close(found.gradient("x_max"), {"k": 1.0 / np.pi}, largest=1e-9)
+    is_close(found.gradient("v"), {"k": 1.0}, largest=1e-9)
+
+
+def test_the_frequency_of_a_family_at_its_amplitude() -> None:
+    """Omega of a Duffing oscillator by elliptic integrals; S is among the parameters."""
+    x, u, g = symbols("x u g")
+    model = OdeModel("Duffing", x, -x - g * x**3, g, 2, u, reversal=(1, -1), half_period=(-1, -1), nominal=(0.5,))
+    mpmath = pytest.importorskip("mpmath")
+    orbit = follow_family(model, 1, 1.0, at=[0.8], tolerance=1e-10).at(S=0.8)
+
+    def Omega(g: Any, S: Any) -> Any:
+        stiff = 1 + g * S
+        return mpmath.pi * mpmath.sqrt(stiff) / 2 / mpmath.ellipk(g * S / (2 * stiff))
+
+    exact = [float(mpmath.diff(Omega, (mpmath.mpf("0.5"), mpmath.mpf("0.8")), order)) for order in ((1, 0), (0, 1))]
+    is_close(orbit.gradient("Omega"), dict(zip(("g", "S"), exact, strict=True)), largest=1e-9)
+
+
+def test_what_is_no_quantity_is_refused() -> None:
+    with pytest.raises(ValueError, match="quantity: given perid; did you mean period"):
+        limit_cycle().gradient("perid")
