@@ -17,6 +17,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | interval_maps.c | maps over the intervals of collocation | `stability.full_period` |
 | multipliers.c, eigenvalues.c | the multipliers of a closed chain of maps | `stability.closed_maps` |
+| orbits.c | the same of an orbit at once, with their errors | `stability.full_period` |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
 """
 
@@ -71,6 +72,9 @@ FUNCTIONS = {
     "interval_maps": "aiiaaaaa",
     "changes": "iiiaara",
     "multipliers": "iiiiiriaaaaaaa",
+    "orbit_multipliers": "aaaia",
+    "orbit_multipliers_by_parts": "aaaaaaiiaa",
+    "judged_multipliers": "iaarra",
     "series_put": "ai",
     "series_right": "ai",
     "series_solve": "aaaa",

@@ -54,20 +54,42 @@ static void at_stages(const equations *e, const places *p, const double *z, cons
     NAMED(at_places)(p);
 }
 
-/* Derivatives of the field by the first `count` states at the stages, dense, (K d, count, count); `rows` and `columns` are
-   those of their entries. */
-KERNEL(collocation_jacobians)(const equations *e, const double *z, const double *numbers, int64_t count,
-                              const int64_t *rows, const int64_t *columns, double *jacobians)
+/* Derivatives of the field by the first n states as last computed, at so many places, dense, (places, n, n); `rows` and
+   `columns` are those of their entries. */
+static void dense(const equations *e, int64_t count, int64_t n, const int64_t *rows, const int64_t *columns, double *found)
 {
     const double *from = e->by_states;
+    memset(found, 0, (size_t)(count * n * n) * sizeof(double));
+    for (int64_t s = 0; s < count; s++, from += e->entries, found += n * n)
+        for (int64_t i = 0; i < e->entries; i++)
+            if (rows[i] < n && columns[i] < n)
+                found[rows[i] * n + columns[i]] = from[i];
+}
+
+/* These at the stages, (K d, n, n). */
+KERNEL(collocation_jacobians)(const void *of, const double *z, const double *numbers, int64_t n, const int64_t *rows,
+                              const int64_t *columns, double *jacobians)
+{
+    const equations *e = of;
     if (e->of_field)
         at_stages(e, e->of_field, z, numbers);
-    memset(jacobians, 0, (size_t)(e->K * e->d * count * count) * sizeof(double));
-    for (int64_t s = 0; s < e->K * e->d; s++, from += e->entries, jacobians += count * count)
-        for (int64_t i = 0; i < e->entries; i++)
-            if (rows[i] < count && columns[i] < count)
-                jacobians[rows[i] * count + columns[i]] = from[i];
+    dense(e, e->K * e->d, n, rows, columns, jacobians);
     return 0;
+}
+
+/* The first `count` components of a field that does not depend on time, at the ends of intervals, (K + 1, count). */
+void NAMED(collocation_velocities)(const void *of, const double *z, const double *numbers, int64_t count,
+                                   double *velocities)
+{
+    const equations *e = of;
+    places ends = *e->of_field;
+    ends.count = e->K + 1;
+    give_numbers(e, &ends, z, numbers);
+    for (int64_t k = 0; k <= e->K; k++)
+        memcpy(ends.argument[1] + k * e->n, z + k * e->R * e->n, (size_t)e->n * sizeof(double));
+    NAMED(at_places)(&ends);
+    for (int64_t k = 0; k <= e->K; k++)
+        memcpy(velocities + k * count, e->field + k * e->n, (size_t)count * sizeof(double));
 }
 
 /* Residual and non-zeros of the Jacobian. The last of the R values is the end of the interval, whose weights are those of
@@ -366,6 +388,23 @@ KERNEL(collocation_interpolated)(const intervals *of, const double *edges, int64
         }
     }
     return 0;
+}
+
+/* Derivatives of the field by the first n states at `count` places on the polynomials, dense. */
+void NAMED(collocation_jacobians_at)(const void *of, const void *polynomials, const double *edges, const double *z,
+                                     const double *numbers, int64_t count, const double *at, int64_t n,
+                                     const int64_t *rows, const int64_t *columns, double *jacobians)
+{
+    const equations *e = of;
+    places these = *e->of_field;
+    give_numbers(e, &these, z, numbers);
+    for (int64_t most = e->K * e->d + 1; count > 0; count -= most, at += most, jacobians += most * n * n) {
+        these.count = count < most ? count : most;
+        memcpy(these.argument[0], at, (size_t)these.count * sizeof(double));
+        NAMED(collocation_interpolated)(polynomials, edges, 1, z, 0, these.count, at, these.argument[1], 0);
+        NAMED(at_places)(&these);
+        dense(e, these.count, n, rows, columns, jacobians);
+    }
 }
 
 /* Wanted density of intervals, see zero/mesh.py, which has the same by numpy: of states z in sizes of the components, by

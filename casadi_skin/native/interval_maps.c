@@ -178,9 +178,10 @@ static void stages(const method *of, int64_t n, const double *h, const lanes *J,
 
 /* Maps over K intervals, (K, n, n), from derivatives of the field at their stages, (K, d, n, n), and the logarithm of
    the determinant of their product. `memory` has LANES ((d n)^2 + 2 (d + 1) n^2) + (d + 1) d n^2 numbers. */
-KERNEL(interval_maps)(const method *of, int64_t K, int64_t n, const double *lengths, const double *jacobians,
+KERNEL(interval_maps)(const void *by, int64_t K, int64_t n, const double *lengths, const double *jacobians,
                       double *maps, double *contraction, double *memory)
 {
+    const method *of = by;
     const int64_t d = of->stages, N = d * n, area = n * n;
     lanes *A = (lanes *)memory, *J = A + N * N, *M = J + d * area, *P = M + area, *slopes = P + d * area;
     double units[MOST_STATES], *room = (double *)(slopes + area);

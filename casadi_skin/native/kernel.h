@@ -78,3 +78,21 @@ double NAMED(divide)(int64_t n, int64_t columns, double *A, double *X);
 int NAMED(eigenvalues)(int64_t n, double *A, double *re, double *im, double *vectors, double *memory);
 void NAMED(balancing)(int64_t n, double *A, double *units);
 void NAMED(singular_values)(int64_t rows, int64_t n, double *A, double *least, double *most);
+
+/* Of collocation equations, equations.c: derivatives at the stages and at places, and velocities at ends of intervals. */
+int NAMED(collocation_jacobians)(const void *of, const double *z, const double *numbers, int64_t n, const int64_t *rows,
+                                 const int64_t *columns, double *jacobians);
+void NAMED(collocation_jacobians_at)(const void *of, const void *polynomials, const double *edges, const double *z,
+                                     const double *numbers, int64_t count, const double *at, int64_t n,
+                                     const int64_t *rows, const int64_t *columns, double *jacobians);
+void NAMED(collocation_velocities)(const void *of, const double *z, const double *numbers, int64_t count,
+                                   double *velocities);
+
+/* Maps over intervals, what may change in these, and multipliers of a chain: interval_maps.c, multipliers.c. */
+int NAMED(interval_maps)(const void *of, int64_t K, int64_t n, const double *lengths, const double *jacobians,
+                         double *maps, double *contraction, double *memory);
+int NAMED(changes)(int64_t K, int64_t d, int64_t n, const double *lengths, const double *jacobians, double enough,
+                   double *bounds);
+int NAMED(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial, double contraction, int64_t wanted,
+                       const double *maps, const double *right, const double *left, const double *units,
+                       const double *general, double *found, double *memory);

@@ -145,7 +145,7 @@ def _of_both(forward: Spectrum, size: float, inverse: tuple[Array, float]) -> Sp
 def _schur(maps: Array) -> Spectrum | None:
     """Eigenvalues block by block of triangular factors; None where a factor is singular."""
     n = maps.shape[1]
-    frame = _general_frame(n)
+    frame = general_frame(n)
     edges: list[int] = []
     for turn in range(1, (SUBSPACE_ROUNDS if n <= MOST_STATES else FEW_ROUNDS) + 1):
         start = frame
@@ -171,7 +171,7 @@ def _schur(maps: Array) -> Spectrum | None:
 
 
 @lru_cache(maxsize=MOST_STATES)
-def _general_frame(n: int) -> Array:
+def general_frame(n: int) -> Array:
     """An orthogonal matrix in general position, which is not to be written to."""
     return np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
 
@@ -441,7 +441,7 @@ def _compiled(
     maps, right, left = map(np.ascontiguousarray, (maps, trivial.right, trivial.left))
     n, determinant = maps.shape[1], np.nan if contraction is None else contraction
     known = trivial.count, right, left
-    found = native.multipliers(maps, known, units, determinant, with_rounding, _general_frame(n))
+    found = native.multipliers(maps, known, units, determinant, with_rounding, general_frame(n))
     logs, re, im, rounding = found[: 4 * n].reshape(4, n)
     first, size, norm, extreme = found[-4:].tolist()
     first, phases, matrix = int(first), re + 1j * im, found[4 * n : -4].reshape(n, n)

@@ -18,10 +18,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from casadi_skin import native
-from casadi_skin.model.conserved import SymmetryClass
+from casadi_skin.model.conserved import SymmetryClass, quantities
 from casadi_skin.model.integrators import CvodesError, IntegrationError, Trajectory
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.native import METHOD, MOST_STATES, Structure, kernels
+from casadi_skin.native import METHOD, MOST_STATES, Structure, kernels, orbits
+from casadi_skin.native.orbits import OrbitKernel
 from casadi_skin.solve.intervals import MANY_STATES
 from casadi_skin.stability.closed_maps import (
     FAR_LOG_EIGENVALUE,
@@ -29,6 +30,7 @@ from casadi_skin.stability.closed_maps import (
     Spectrum,
     Trivial,
     balancing,
+    general_frame,
     multipliers_along,
     no_trivial,
     trivial_along,
@@ -48,6 +50,7 @@ from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, 
 MOST_DENSE = 400  # states of which dense maps are made where too many multipliers are not small
 DISTANCE_SAFETY = 2.0  # distances to the better solution are the error up to the error of that
 LEAST_ERROR_RATIO = 0.1  # of the largest error: that of a single multiplier may vanish at both tolerances
+NO_MU, NO_MU_ERROR = np.empty(0, complex), np.empty(0)  # of an orbit that is not reversible
 TRIVIAL_DRIFT = 100.0  # tolerances, times the size of the balanced monodromy matrix: of the trivial multiplier
 
 
@@ -71,7 +74,7 @@ def judged(
     largest, on_circle = float(moduli.max(initial=0.0)), np.abs(moduli - 1.0) <= errors
     return Floquet(
         np.concatenate([near, others]), np.concatenate([found.trivial.logs, found.others.logs]), near.size, deviation,
-        errors, on_circle, np.abs(others.imag) <= errors, error, largest, np.empty(0, complex), np.empty(0),
+        errors, on_circle, np.abs(others.imag) <= errors, error, largest, NO_MU, NO_MU_ERROR,
         monodromy=None if found.matrix is None else found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)),
         lost=found.lost, allowed_deviation=float(TRIVIAL_DRIFT * tolerance * found.norm), beyond=found.beyond,
     )  # fmt: skip
@@ -236,6 +239,20 @@ class Closed:
         """A solution that its conditions close."""
         return cls(problem, z, closure.statement.model, turn=closure.matrix)
 
+    def found_at_once(self, with_rounding: bool) -> Array | None:
+        """Multipliers by a kernel; None where more is known of an orbit than its velocity, or of many states."""
+        if self.turn is not None or not self.is_whole or not kernels():
+            return None
+        problem, key = self.problem, ("multipliers", self.model)
+        known = problem.discretisation.shared
+        if key not in known:
+            known[key] = _kernel_of(problem, self.model)
+        kernel: OrbitKernel | None = known[key]
+        if kernel is None:
+            return None
+        most = min(MOST_PARTS, MOST_WORK / (problem.degree * self.size) ** 3)
+        return kernel.found(self.z, problem.numbers, with_rounding, problem.polynomials, most)
+
     @cached_property
     def _all_parameters(self) -> Array:
         """Those of the problem, in its order."""
@@ -327,6 +344,16 @@ class Closed:
         return bool(self.trivial(TURNED_FIELD_RTOL, self.ends[[0, -1]]).right.shape[1])
 
 
+def _kernel_of(problem: BoundaryProblem, model: OdeModel) -> OrbitKernel | None:
+    equations, table, n = problem.discretisation, problem.table, model.full_size
+    plain = model.forced or not quantities(model)
+    if not plain or equations.checks is None or n > MOST_STATES or table.stages != tuple(range(1, table.degree + 1)):
+        return None
+    apart, trivial = table.ends.size * problem.formulation.states, int(not model.forced)
+    data = equations.compiled, _method(table), problem.formulation.entries, table.nodes, general_frame(n)
+    return OrbitKernel((n, problem.resolution, table.degree, apart), trivial, *data)
+
+
 def _same(one: Array, other: Array) -> bool:
     return bool(np.max(np.abs(one - other)) <= CLOSED_VALUE_RTOL * np.max(np.abs(other)))
 
@@ -336,11 +363,30 @@ def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Fl
     if orbit.size >= MANY_STATES and orbit.is_whole and orbit.turn is None:
         with suppress(ManyLeadingError):
             return _by_leading(orbit, better, tolerance)
+    left = 0.0 if better is None else orbit.problem.left_by(better.problem)
+    at_once = _at_once(orbit, better, tolerance, left)
+    if at_once is not None:
+        return at_once
     found = _multipliers(orbit, tolerance, with_rounding=better is not None)
-    if better is None:
-        return judged(found, None, tolerance)
-    finer = _multipliers(better, tolerance, with_rounding=False)
-    return judged(found, finer, tolerance, orbit.problem.left_by(better.problem))
+    return judged(found, None if better is None else _multipliers(better, tolerance, False), tolerance, left)
+
+
+def _at_once(orbit: Closed, better: Closed | None, tolerance: float, left: float) -> Floquet | None:
+    """All that follows by compiled kernels; None where it takes more than these have."""
+    found = orbit.found_at_once(better is not None)
+    other = None if found is None or better is None else better.found_at_once(False)
+    if found is None or (better is not None and other is None):
+        return None
+    numbers = orbits.judged(orbit.size, found, other, DISTANCE_SAFETY / (1.0 - left), TRIVIAL_DRIFT * tolerance)
+    if numbers is None:
+        return None
+    values, (logs, errors, *flags), matrix, (first, deviation, error, largest, allowed) = numbers
+    count, others = int(first), orbit.size - int(first)
+    on_circle, real = (flag[:others] != 0.0 for flag in flags)
+    return Floquet(
+        values, logs, count, deviation, errors[:others], on_circle, real, error, largest, NO_MU, NO_MU_ERROR,
+        monodromy=matrix, allowed_deviation=allowed,
+    )  # fmt: skip
 
 
 def _by_leading(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:

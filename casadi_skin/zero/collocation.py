@@ -239,6 +239,11 @@ class CollocationEquations(Problem):
         found: Structure = self.kept("intervals", made)
         return found
 
+    @property
+    def polynomials(self) -> tuple[Structure, Array]:
+        """The same with the edges of the intervals."""
+        return self._intervals, self.mesh.edges
+
     def all_prolonged(self, z: Array, finer: Self) -> Array:
         if self.is_placed_as(finer):
             return z

@@ -21,17 +21,18 @@ from kernels import forget, needs_kernels, numpy_alone
 from lattices import plane
 from small_models import pendulums
 
-from casadi_skin import Branch, Chain, find_orbit, follow_family, native
+from casadi_skin import Branch, Chain, Orbit, find_orbit, follow_family, native
 from casadi_skin.dynamics.evolution import equations_of_motion
 from casadi_skin.dynamics.evolve import evolve
 from casadi_skin.model import operations
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
+from casadi_skin.native import orbits
 from casadi_skin.optimise.kick_flow import ChainForce
 from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
-from casadi_skin.stability.closed_maps import Trivial, multipliers_along
+from casadi_skin.stability.closed_maps import Multipliers, Spectrum, Trivial, multipliers_along
 from casadi_skin.stability.flows import JacobianAlong, SplittingMap, srkn_step
-from casadi_skin.stability.full_period import interval_maps
+from casadi_skin.stability.full_period import Closed, by_collocation, interval_maps, judged, needed_parts
 from casadi_skin.zero.butcher import CollocationTable, gauss_table, radau_table
 from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
 from casadi_skin.zero.family import family_request
@@ -99,6 +100,84 @@ def test_multipliers_of_chains_of_maps_are_those_by_numpy(known: tuple[int, int]
     np.testing.assert_allclose(found.trivial.values, plain.trivial.values, rtol=0, atol=1e-6)  # double ones
     np.testing.assert_allclose(found.rounding, plain.rounding, rtol=1e-3, atol=1e-300)
     np.testing.assert_allclose(found.matrix, plain.matrix, rtol=0, atol=1e-11)
+
+
+def driven_and_free(kind: str) -> Orbit:
+    """A forced orbit, one that is free, and one of which several multipliers are far from 1 on long intervals."""
+    x, y, z, t, p = (ca.SX.sym(name) for name in "xyztp")
+    oscillator = ca.vertcat(y, p * (1.0 - x**2) * y - x)
+    if kind == "forced":
+        field = ca.vertcat(y, -x - 0.3 * y - x**3 + p * ca.cos(t))
+        model = OdeModel("forced", ca.vertcat(x, y), field, p, time=t, forcing_period=2.0 * np.pi)
+        return find_orbit(model, lambda t: [0.1 * np.sin(t), 0.1 * np.cos(t)], parameters={"p": 0.2})
+    pull = {"free": 0.3, "far": 20.0}[kind]
+    model = OdeModel(kind, ca.vertcat(x, y, z), ca.vertcat(oscillator, pull * (x - z)), p)
+    return find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t), np.sin(t)], 6.6, parameters={"p": 1.0})
+
+
+@needs_kernels
+@pytest.mark.parametrize("kind", ["forced", "free", "far"])
+def test_multipliers_of_orbits_at_once_are_those_by_numpy(kind: str) -> None:
+    point, space = (orbit := driven_and_free(kind)).point, orbit.space
+    better, closed = space._better(point), Closed(point.problem, point.z, orbit.model)
+    jacobians = point.problem.discretisation.jacobians(point.z, point.problem.numbers, closed.size)
+    assert (needed_parts(point.problem, jacobians) is not None) == (kind == "far")
+    assert better is not None
+    assert closed.found_at_once(True) is not None
+    finer = Closed(better.problem, better.z, orbit.model)
+    with numpy_alone():
+        other = driven_and_free(kind)
+        levels = other.space.levels
+
+    def by_numpy(each: Closed) -> Closed:
+        problem = levels.problem(each.problem.resolution).with_constants(each.problem.constants)
+        return Closed(problem, each.z, other.model)
+
+    for with_errors in (True, False):
+        found = by_collocation(closed, finer if with_errors else None, 1e-8)
+        with numpy_alone():
+            assert by_numpy(closed).found_at_once(True) is None
+            plain = by_collocation(by_numpy(closed), by_numpy(finer) if with_errors else None, 1e-8)
+        assert found.trivial == plain.trivial == (kind != "forced")
+        np.testing.assert_allclose(found.log_moduli, plain.log_moduli, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found.multipliers, plain.multipliers, rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(found.other_errors, plain.other_errors, rtol=0.2, atol=1e-13)
+        np.testing.assert_allclose(found.monodromy, plain.monodromy, rtol=1e-10, atol=1e-12)
+        np.testing.assert_array_equal(found.on_circle, plain.on_circle)
+        np.testing.assert_array_equal(found.real, plain.real)
+        sizes = [[each.error, each.max_abs_multiplier, each.allowed_deviation] for each in (found, plain)]
+        np.testing.assert_allclose(*sizes, rtol=0.2, atol=1e-13)
+        assert max(found.trivial_deviation, plain.trivial_deviation) < 1e-10
+
+
+@needs_kernels
+@pytest.mark.parametrize("angle", [0.3, 2.8])
+def test_errors_of_multipliers_are_those_by_numpy(angle: float) -> None:
+    """Of a real one, a pair, one beyond the largest double and a trivial one; none where two have one nearest."""
+    values = np.array([1.0 + 1e-9, 0.7, 1.2 * np.exp(1j * angle), 1.2 * np.exp(-1j * angle)])
+    logs, phases = np.append(np.log(np.abs(values)), 800.0), np.append(values / np.abs(values), -1.0)
+
+    def both(moved: float) -> tuple[np.ndarray, Multipliers]:
+        at = logs + moved
+        spectra = Spectrum(at[:1], phases[:1]), Spectrum(at[1:], phases[1:])
+        row = [at, phases.real, phases.imag, np.full(5, 1e-13), np.eye(5).ravel(), [1.0, 2.0, 3.0, 0.0, 0.0]]
+        return np.concatenate(row), Multipliers(*spectra, np.full(4, 1e-13), np.eye(5), 2.0, 3.0)
+
+    (found, one), (better, other) = both(0.0), both(1e-7)
+    plain, row = judged(one, other, 1e-8, 0.5), orbits.judged(5, found, better, 4.0, 1e-6)
+    assert row is not None
+    multipliers, (all_logs, errors, on_circle, real), matrix, (_, deviation, error, largest, allowed) = row
+    for own, numbers in zip(
+        (multipliers, all_logs, errors[:4], on_circle[:4], real[:4], matrix, [deviation, error, largest, allowed]),
+        (
+            plain.multipliers, plain.log_moduli, plain.other_errors, plain.on_circle, plain.real, plain.monodromy,
+            [plain.trivial_deviation, plain.error, plain.max_abs_multiplier, plain.allowed_deviation],
+        ),
+        strict=True,
+    ):  # fmt: skip
+        np.testing.assert_allclose(own, numbers, rtol=1e-8)  # distances of 1e-7 have nine digits
+    better[[1, 6, 11]] = better[[2, 7, 12]]
+    assert orbits.judged(5, found, better, 4.0, 1e-6) is None
 
 
 @needs_kernels
