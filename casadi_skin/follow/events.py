@@ -27,9 +27,9 @@ from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.normal_forms import critical_angle
 from casadi_skin.follow.point import ALIGNED_COSINE
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, assignment
-from casadi_skin.follow.search import ExponentSampler, NotLocatedError, Search, gap_between
+from casadi_skin.follow.search import BranchStretch, ExponentSampler, NotLocatedError, Search, gap_between
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import snapped, target_of
+from casadi_skin.follow.space import precedes, snapped, target_of
 from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
@@ -454,23 +454,30 @@ class Ledger:
         self._sampler: ExponentSampler | None = None  # of the last stretch
         self._count: int | None = None  # n_u behind the last solution; None where it is not known
 
-    def between(self, before: Solution, after: Solution, leaving: bool = False) -> Iterator[Solution]:
+    def between(self, before: Solution, after: Solution, starts: bool = False) -> Iterator[Solution]:
         """Special orbits between two solutions in order; their changes of stability are entered.
 
         Arguments:
             before, after: neighbours on the branch, which may be special orbits themselves.
-            leaving: whether the branch leaves a special point at the first of them.
+            starts: whether the branch starts at the first of them, which it leaves where that is a special point.
         """
         try:
-            yield from self._between(before, after, leaving)
+            yield from self._between(before, after, starts)
         except TimeLimitError as error:
             self._count = None
             self._name(before, after, str(error))
 
-    def _between(self, before: Solution, after: Solution, leaving: bool) -> Iterator[Solution]:
-        """The same; raises TimeLimitError."""
+    def _between(self, before: Solution, after: Solution, starts: bool) -> Iterator[Solution]:
+        """The same; raises TimeLimitError.
+
+        Where rounding decides on which side the start of the branch is of a special orbit, from an orbit behind it.
+        """
+        leaving = starts and self.space.leaves
         special, ends_special = (self.space.is_critical(one.point.special) for one in (before, after))
+        unclear = starts and not (special or leaving) and before.floquet().exponents.outside[1] > 0
         first = self._beside(before, after, BESIDE_SPECIAL) if special or leaving else before
+        if unclear:
+            first = self._beside(before, after, [-one for one in BESIDE_SPECIAL]) or before
         last = self._beside(before, after, [1.0 - one for one in BESIDE_SPECIAL]) if ends_special else after
         if first is None or last is None:
             self._count = None
@@ -486,18 +493,24 @@ class Ledger:
             self._passed(before, self._count, start, critical_angle(before.point.special, before))
         self._count = start
         for one, other in pairwise(orbits):
-            yield from self._events(one, other, self._count)
+            yield from self._events(one, other, self._count, before if unclear else None)
 
-    def _events(self, first: Solution, last: Solution, count: int) -> Iterator[Solution]:
-        """Special orbits between two that are none, behind the first of which so many multipliers are outside."""
+    def _events(self, first: Solution, last: Solution, count: int, start: Solution | None) -> Iterator[Solution]:
+        """Special orbits between two that are none, behind the first of which so many multipliers are outside.
+
+        Those before the start of the branch, where that is given, are left out.
+        """
         ends = [(end.point, end.floquet().exponents) for end in (first, last)]
         length = self.space.point_solver.length(first.point, last.point)
         self._sampler = ExponentSampler(self.space, *ends, length=length, before=self._sampler)
         events, gaps = events_between(self.space, self._sampler)
         self.unresolved += gaps
+        stretch = None if start is None else BranchStretch(self.space.point_solver, start.point, last.point)
         for event in events:
-            self._passed(event.solution, count, count + event.jump, event.angle)
             count += event.jump
+            if stretch is not None and precedes(self.space, stretch, event.solution.point):
+                continue
+            self._passed(event.solution, count - event.jump, count, event.angle)
             if event.kind != KREIN:
                 yield event.solution
         (_, one), (_, other) = ends

@@ -91,7 +91,7 @@ class BranchRun:
         before = self.solutions[-1] if self.solutions else None
         crossings: Iterator[Solution] = iter(())
         if self._ledger is not None and before is not None and before.space.closes and solution.space.closes:
-            crossings = self._ledger.between(before, solution, self.space.leaves and len(self.solutions) == 1)
+            crossings = self._ledger.between(before, solution, len(self.solutions) == 1)
         for one in chain(crossings, [solution]):
             self.solutions.append(one)
             yield one

@@ -21,7 +21,7 @@ from casadi_skin.follow.moving import Moving
 from casadi_skin.solve.bordered import BorderedSolver, Steps
 from casadi_skin.solve.levels import Levels, Measured, at_parameter, step_error
 from casadi_skin.solve.newton import Correction, Status
-from casadi_skin.zero.problem import EPSILON, Array, OrbitProblem, Problem, Scalar, SingularError, Solve
+from casadi_skin.zero.problem import Array, OrbitProblem, Problem, Scalar, SingularError, Solve
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point, Target
 
 # Polynomials of a branch in a coordinate along it ---------------------------------------------------------------------
@@ -146,11 +146,10 @@ def predictor(points: Array, row: Array) -> Callable[[float], Array]:
 def interpolant(places: Sequence[float], values: Array, slopes: Array) -> Callable[[float], Array]:
     """The polynomial of least degree through values and slopes, each (places, unknowns).
 
-    What does not change stays as it is, as weights beyond the places multiply rounding.
+    It is that through what values differ by from the first, as weights beyond the places multiply rounding.
     """
-    still = (np.ptp(values, axis=0) == 0.0) & (np.max(np.abs(slopes), axis=0) <= EPSILON * np.abs(values[0]))
-    first, known = np.where(still, values[0], 0.0), np.concatenate([values, slopes])
-    known[: len(values)] -= first
+    first = values[0]
+    known = np.concatenate([values - first, slopes])
 
     def at(place: float) -> Array:
         return np.asarray(first + np.ravel(hermite(places, place), order="F") @ known)

@@ -168,6 +168,12 @@ class EquilibriumSpace(ParameterSpace):
                 before, after = (beside, after) if point is before else (before, beside)
         yield from special_between(self, before, after, gaps)
 
+    def is_unclear(self, start: Point, reach: float) -> bool:
+        """Likewise, by where pairs cross the imaginary axis to first order: at other points a start is not regular."""
+        here = self.leading(start)
+        crosses = np.abs(here.values.real) <= here.noise + reach * np.abs(here.rates.real)
+        return bool(np.any(crosses & (here.values.imag > 0.0)))
+
     def stop(self, point: Point) -> tuple[End | None, str]:
         """JUMP where the equations jump at the point, or between the start of the branch and the point."""
         jumps = self.model.jumps

@@ -24,7 +24,7 @@ import numpy as np
 
 from casadi_skin.follow.arclength import ArclengthContinuation, Continuation
 from casadi_skin.follow.point import PointSolver
-from casadi_skin.follow.search import Monitor
+from casadi_skin.follow.search import BranchStretch, Monitor
 from casadi_skin.model.result import NoQuantityError
 from casadi_skin.solve.ipopt import CORRECTORS
 from casadi_skin.solve.newton import Correction, Corrector, RoundedCorrector
@@ -144,6 +144,10 @@ class SolutionSpace:
         NotLocatedError.
         """
         yield from ()
+
+    def is_unclear(self, start: Point, reach: float) -> bool:
+        """Whether what is special may be behind the start of a branch by rounding, or by a distance within `reach`."""
+        return False
 
     def unproved(self) -> list[Unresolved]:
         """The part at the end of a branch of which it is not proved that no special point is missing."""
@@ -299,13 +303,21 @@ REQUESTED_VALUE_RTOL = 4.0 * EPSILON  # relative difference of a value that is t
 def target_of(space: SolutionSpace, special: Point) -> Target | None:
     """The target whose value a special point has within its error; None where there is none."""
     settings, name = space.point_solver.settings, space.parameter
-    value, error = space.parameters(special)[name], space.parameter_error(special)
     for target in (*settings.at, *settings.ends):
-        if target.held is Scalar.PARAMETER:
-            wanted = space.value(name, snapped(special, target))
-            if abs(value - wanted) <= max(error, REQUESTED_VALUE_RTOL * abs(wanted)):
-                return target  # type: ignore[no-any-return]
+        if target.held is Scalar.PARAMETER and has_value(space, special, space.value(name, snapped(special, target))):
+            return target  # type: ignore[no-any-return]
     return None
+
+
+def has_value(space: SolutionSpace, special: Point, value: float) -> bool:
+    """Whether a special point has a value of the continuation parameter within its error."""
+    off = abs(space.parameters(special)[space.parameter] - value)
+    return bool(off <= max(space.parameter_error(special), REQUESTED_VALUE_RTOL * abs(value)))
+
+
+def precedes(space: SolutionSpace, stretch: BranchStretch, special: Point) -> bool:
+    """Whether a special point is before the first stretch of a branch, by more than its error."""
+    return stretch.sigma(special) < 0.0 and not has_value(space, special, space.begins)
 
 
 def snapped(special: Point, target: Target, requested: bool = False) -> Point:

@@ -37,7 +37,7 @@ from casadi_skin.follow.search import (
     zero_between,
 )
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import SolutionSpace, corrector_of, of_last_points, snapped, target_of
+from casadi_skin.follow.space import SolutionSpace, corrector_of, of_last_points, precedes, snapped, target_of
 from casadi_skin.model.arguments import with_error
 from casadi_skin.model.result import Result
 from casadi_skin.solve.levels import ExactLevels
@@ -481,6 +481,7 @@ def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = n
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
 
+BEHIND_START = 1e-2  # of a stretch, from the start of a branch: where the search begins for what is special there
 SAME_PLACE = 1e-2  # of a stretch: a requested point that near to a special one of the same value is that one
 
 
@@ -502,8 +503,11 @@ class StretchPoints(BranchStretch):
     def special(self) -> list[Point]:
         """Special points in order, those at requested values exactly there; raises NotLocatedError."""
         targets, found = self.solver.settings.at, list[Point]()
-        stretch = *self.ends, self.unresolved
-        for point in chain(self.space.special_between(*stretch), monitored(self.space, *stretch)):
+        before, after = self._bounds()
+        special = self.space.special_between(before, after, self.unresolved)
+        if before is not self.ends[0]:
+            special = (point for point in special if not precedes(self.space, self, point))
+        for point in chain(special, monitored(self.space, *self.ends, self.unresolved)):
             target = target_of(self.space, point)
             found.append(point if target is None else snapped(point, target, target in targets))
         for target in self.missed:
@@ -511,6 +515,18 @@ class StretchPoints(BranchStretch):
                 found += self._at(target)
         self.missed = [target for target in self.missed if all(point.parameter != target.value for point in found)]
         return sorted(found, key=self.sigma)
+
+    def _bounds(self) -> list[Point]:
+        """The ends of the search: behind the start of a branch where rounding decides on its side of a special point.
+
+        A branch that comes back to such a start has it once.
+        """
+        bounds = list(self.ends)
+        for end, (point, place) in enumerate(zip(self.ends, (-BEHIND_START, 1.0 - BEHIND_START), strict=True)):
+            starts = not self.space.leaves and np.array_equal(point.z, self.space.start.z)
+            if starts and self.space.is_unclear(point, BEHIND_START * self.length):
+                bounds[end] = self.solver.along(*self.ends, place) or point
+        return bounds
 
     def _at(self, target: Target) -> Iterator[Point]:
         """The special point at a value at which no solution was found, where there is one."""

@@ -47,6 +47,23 @@ def test_lyapunov_coefficient_of_a_planar_model_agrees_with_the_real_formula() -
     assert point.frequency == pytest.approx(w, rel=1e-13)
 
 
+@pytest.mark.parametrize("turn", np.linspace(0.1, 1.5, 5))
+def test_a_branch_that_starts_at_a_hopf_point_has_it_and_one_that_starts_beside_it_has_it_ahead_alone(
+    turn: float,
+) -> None:
+    """Eigenvalues are p -+ 1.1 i, in coordinates that are turned and stretched: rounding is as it comes."""
+    w, p, T = ca.SX.sym("w", 2), ca.SX.sym("p"), np.diag([1.0, 1.7]) @ [[np.cos(turn), -np.sin(turn)], [0.3, 1.0]]
+    u, v = ca.vertsplit(np.linalg.inv(T) @ w - ca.vertcat(0.3 * p + 0.123, 0.7 * p**2))
+    field = T @ ca.vertcat(p * u - 1.1 * v - u * (u**2 + v**2), 1.1 * u + p * v - v * (u**2 + v**2))
+    model = OdeModel("turned", w, field, p)
+    for start, to, listed in ((0.0, 1.0, 1), (0.0, -1.0, 1), (-1e-12, 1.0, 1), (1e-12, 1.0, 0)):
+        at = T @ [0.3 * start + 0.123, 0.7 * start**2]
+        branch = find_equilibrium(model, at, parameters={"p": start}).follow("p", to)
+        assert [point.kind for point in branch.special_points] == listed * ["hopf"]
+        assert all(abs(point.parameters["p"]) <= point.error < 1e-13 for point in branch.special_points)
+        assert branch.unresolved == ()
+
+
 def test_lorenz_has_its_pitchfork_and_its_subcritical_hopf_point() -> None:
     at_zero = _from_below(lorenz(), [0, 0, 0], "r", 0.2, 40.0)
     assert [point.kind for point in at_zero] == ["branch point"]

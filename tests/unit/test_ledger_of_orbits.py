@@ -55,6 +55,12 @@ def test_a_cycle_that_becomes_stable_where_its_period_doubles_has_a_change_there
     assert change.value == doubling.parameters["c"] == pytest.approx(2.832445, abs=1e-5)  # cycles of two turns begin
     assert (change.stable_before, change.stable_after, change.angle) == (False, True, np.pi)
     assert branch.unresolved == ()
+    for to in (2.0, 4.0):  # a branch that starts there has it, whatever side rounding puts it on
+        again = doubling.solution.follow("c", to, stability=True, max_points=5)
+        assert [point.kind for point in again.special_points] == ["period doubling"]
+        (change,) = again.changes
+        assert abs(change.value - doubling.parameters["c"]) <= change.error + doubling.error
+        assert (change.stable_before, again.unresolved) == (to > 3.0, ())
 
 
 SLOW = [pytest.param(seed, 0.0, marks=pytest.mark.slow) for seed in range(4, 40)]
