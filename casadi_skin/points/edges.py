@@ -529,15 +529,9 @@ def edge_curve(
     """
     start = float(orbit.parameters[parameter])
     exact = (start, to, *at, *(() if back_to is None else (back_to,)))
-    family, point, turns = orbit.space.whole, orbit.space.on_all_positions(orbit.point), turns_of(orbit)
     for value in exact:
-        family_at(family, parameter, value)  # refused where the model has no such value
-    if turns == 1:
-        edge, known = _edge_near(family, point, S)
-    else:
-        known = orbit_at(family, S, shortened(point, turns))
-        edge = _resonance(family, known, S, turns)
-    problem = EdgeProblem(orbit, Course(parameter, start, to), exact, edge, known)
+        family_at(orbit.space.whole, parameter, value)  # refused where the model has no such value
+    problem = edge_problem(orbit, S, Course(parameter, start, to), exact)
     limits = replace(
         settings, tolerance=LAST_NEWTON_STEP, min_step=SHORTEST_STEP, closing=False, guard_distance=0.3,
         guard_angle=40.0, aim_angle=20.0, first_step=FIRST_STEP,
@@ -567,6 +561,17 @@ def edge_curve(
             break
     end = None if stopped else end or walk.end
     return EdgeCurve(parameter, tuple(points), end, "" if end in (None, End.AWAY) else walk.detail, tuple(folds))
+
+
+def edge_problem(orbit: Orbit, S: float, course: Course, exact: Iterable[float]) -> EdgeProblem:
+    """The equations of the edge near S of a family; raises ArithmeticError where it is not found again."""
+    family, point, turns = orbit.space.whole, orbit.space.on_all_positions(orbit.point), turns_of(orbit)
+    if turns == 1:
+        edge, known = _edge_near(family, point, S)
+    else:
+        known = orbit_at(family, S, shortened(point, turns))
+        edge = _resonance(family, known, S, turns)
+    return EdgeProblem(orbit, course, exact, edge, known)
 
 
 def _edge_near(family: Family, point: Point, S: float) -> tuple[StabilityEdge, Point]:

@@ -27,18 +27,23 @@ from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import accepted_names, by_name, with_error
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.result import Result, in_turn
+from casadi_skin.points.edges import EdgeProblem, edge_problem, parameters_of
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.adjoint import Equations, derivatives
-from casadi_skin.zero.kinds import BRANCH_POINT, HOPF
+from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, HOPF
 from casadi_skin.zero.linearised import Linearised, null_vectors
 from casadi_skin.zero.problem import EPSILON, Array, Problem
-from casadi_skin.zero.rest import AlgebraicProblem
+from casadi_skin.zero.rest import AlgebraicProblem, Course
 from casadi_skin.zero.stated_problem import PERIOD
 
 ROUNDING_PROBES = 6  # solutions and linear equations off by rounding, of signs drawn at random
 WIDER_DIFFERENCES = 2.0  # times the steps of differences of a program's derivatives, for their error
 UNFOLDING_DEVIATIONS = 100.0  # of rounding: a push of the equations beyond it, by which a branch point becomes none
 MULTIPLIER_STEPS = 3  # of inverse iteration with the multiplier's own correction, quadratic each
+EDGE_STEP = 2e-4  # of S and of a parameter: that of differences at an edge; of 1e-3 some come to another pair of mu
+# Places and weights of differences with steps h, 2 h, 4 h: of order h^4 by the shorter two, and by the longer two.
+DIFFERENCE_PLACES = 1.0, -1.0, 2.0, -2.0, 4.0, -4.0
+DIFFERENCE_WEIGHTS = np.repeat([[8.0, -1.0, 0.0], [0.0, 4.0, -0.5]], 2, axis=1) * np.tile([1.0, -1.0], 3) / 12.0
 EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
 Target = Callable[[Any, Array], tuple[float, Array, Array]]  # value, derivatives by unknowns and by parameters
 
@@ -111,7 +116,7 @@ def gradient(point: SpecialPoint) -> Gradient:
 
     Arguments:
         point: a fold, a Hopf point or a branch point of equilibria; of orbits and boundary-value problems a fold, a
-            period doubling, a torus or a branch point.
+            period doubling, a torus or a branch point; the edge of a tongue of a family (`Branch.edge`).
 
     Returns:
         {parameter: derivative} with `errors`; NaN by a parameter that makes a branch point none.
@@ -122,8 +127,10 @@ def gradient(point: SpecialPoint) -> Gradient:
     """
     solution, name = point.solution, point.parameter
     space: Any = solution.space
-    if point.mu is not None or space.connects == FAMILY or space.kind or not point.has_curve:
-        accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in one parameter"
+    if space.connects == FAMILY and (point.kind == EDGE or point.mu is not None):
+        return _of_edge(point)
+    if space.connects == FAMILY or space.kind or not point.has_curve:
+        accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in one parameter, an edge of a tongue"
         raise ValueError(f"gradient: given a {point.kind}; accepted: {accepted}")
     if solution.is_equilibrium:
         located = locate_rest(space, point.kind, solution.point.z, 1j * point.frequency if point.kind == HOPF else None)
@@ -144,6 +151,31 @@ def gradient(point: SpecialPoint) -> Gradient:
     values, errors = _with_errors(target, (at.problem, at.z), finer, names, pushed)
     value, held = point.parameters[name], f"all parameters but {name}, and that the point is a {point.kind}"
     return Gradient(f"{name} at the {point.kind}", value, values, errors, held)
+
+
+def _of_edge(point: SpecialPoint) -> Gradient:
+    """S of an edge of a tongue, by central differences of the one equation in S and a parameter that it solves.
+
+    Orbits are solved at the places of the differences; multipliers have no second derivatives of the equations.
+    """
+    orbit, S = point.solution, point.parameters[point.parameter]
+    in_S, _, in_u = EDGE_STEP * np.eye(3)
+    slopes, errors, by_S = dict[str, float](), dict[str, float](), None
+    for name in parameters_of(orbit.space):
+        start = float(orbit.parameters[name])
+        way = abs(start) or 1.0
+        problem = edge_problem(orbit, S, Course(name, start, start + way), (start,))
+
+        def along(direction: Array, problem: EdgeProblem = problem) -> Array:
+            """Derivatives by steps of two sizes, of the equation and with the errors of flow and orbit, (2, 3)."""
+            values = [problem.values(problem.begin + k * direction, errors=True)[1:] for k in DIFFERENCE_PLACES]
+            return np.asarray(DIFFERENCE_WEIGHTS @ np.array(values))
+
+        by_S = along(in_S) if by_S is None else by_S
+        found = -along(in_u) / by_S * S / way
+        slopes[name], errors[name] = float(found[0, 0]), float(np.sum(np.abs(found - found[0, 0])))
+    held = "all parameters but S, and that the point is an edge"
+    return Gradient(f"S at the {point.kind}", S, slopes, errors, held)
 
 
 @in_turn
