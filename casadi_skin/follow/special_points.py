@@ -216,6 +216,10 @@ class SpecialPoint(Result):
     """The `Branch` that leaves here: `casadi_skin.points.switch.switch`."""
     curve: ClassVar[Callable[..., Any]]
     """This point followed in a second parameter: `casadi_skin.points.curves.curve`."""
+    gradient: ClassVar[Callable[..., Any]]
+    """Derivatives of the located value by all other parameters: `casadi_skin.points.gradient.gradient`."""
+    spread: ClassVar[Callable[..., float]]
+    """Its standard deviation to first order: `casadi_skin.points.gradient.spread`."""
     normal_form: ClassVar[Callable[..., Any]]
     """The normal form, by projection: `casadi_skin.follow.normal_forms.critical`."""
     lost_symmetries: ClassVar[Callable[..., tuple[str, ...]]]

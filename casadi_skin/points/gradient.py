@@ -130,7 +130,7 @@ def gradient(point: SpecialPoint) -> Gradient:
     if space.connects == FAMILY and (point.kind == EDGE or point.mu is not None):
         return _of_edge(point)
     if space.connects == FAMILY or space.kind or not point.has_curve:
-        accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in one parameter, an edge of a tongue"
+        accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in a parameter, an edge of a tongue"
         raise ValueError(f"gradient: given a {point.kind}; accepted: {accepted}")
     if solution.is_equilibrium:
         located = locate_rest(space, point.kind, solution.point.z, 1j * point.frequency if point.kind == HOPF else None)
@@ -149,7 +149,7 @@ def gradient(point: SpecialPoint) -> Gradient:
     names = [known for known in space.model.parameter_names if known != name]
     pushed = at.problem.added_index if point.kind == BRANCH_POINT else None
     values, errors = _with_errors(target, (at.problem, at.z), finer, names, pushed)
-    value, held = point.parameters[name], f"all parameters but {name}, and that the point is a {point.kind}"
+    value, held = point.parameters[name], f"all parameters but {name}, and the kind of the point"
     return Gradient(f"{name} at the {point.kind}", value, values, errors, held)
 
 
@@ -174,7 +174,7 @@ def _of_edge(point: SpecialPoint) -> Gradient:
         by_S = along(in_S) if by_S is None else by_S
         found = -along(in_u) / by_S * S / way
         slopes[name], errors[name] = float(found[0, 0]), float(np.sum(np.abs(found - found[0, 0])))
-    held = "all parameters but S, and that the point is an edge"
+    held = "all parameters but S, and the kind of the point"
     return Gradient(f"S at the {point.kind}", S, slopes, errors, held)
 
 

@@ -211,6 +211,31 @@ def _special_point(point: SpecialPoint, wanted: Collection[str]) -> dict[str, Ce
     return cells
 
 
+GRADIENT_COLUMNS = ("branch", "kind", "of", "value", "parameter", "derivative", "error")
+
+
+def gradient_rows(
+    name: str, branch: Branch, changes: bool, special: bool, failures: list[str]
+) -> Iterator[dict[str, Cell]]:
+    """Rows of gradient.csv: derivatives of the values of changes of stability of a family, and of special points.
+
+    Kinds without derivatives are left out; `failures` gets the reasons of points that are not found again.
+    """
+    edges = range(len(branch.changes)) if changes and branch.space.is_family else ()
+    for place in (*edges, *(branch.special_points if special else ())):
+        try:
+            point = branch.edge(place) if isinstance(place, int) else place
+            found = point.gradient()
+        except ValueError:
+            continue
+        except ArithmeticError as error:
+            failures.append(f"gradient: {error}")
+            continue
+        for parameter, slope in found.items():
+            values = name, point.kind, point.parameter, found.value, parameter, _finite(slope), found.errors[parameter]
+            yield dict(zip(GRADIENT_COLUMNS, values, strict=True))
+
+
 # Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------
 
 COLUMN_MEANINGS = {"S": "total amplitude: sum of y_n^2 at t = 0", "Omega": "frequency", "period": "period"}

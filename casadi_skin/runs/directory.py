@@ -31,7 +31,7 @@ SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN_FILES = (
     "family.csv", "family.nc", "events.csv", "further_events.csv", "tongues.csv", "passed_resonances.csv",
     "spectrum.csv", "bands.csv", "dynamics.csv", "dynamics.nc", "spreading.csv", "energies.csv", "edges.csv",
-    "search.csv", "starts.csv", "search.nc",
+    "search.csv", "starts.csv", "search.nc", "gradient.csv",
     "branch.csv", "branch.nc", "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc",
     "curve_*.csv", "curve_*.nc", "map.csv", "map.nc", "boundary.csv", "explore.html", "journal_*_of_*.msgpack",
     f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE_FILE, JOURNAL_FILE,

@@ -248,6 +248,7 @@ def _of_what(s: Seen) -> Rules:
         others = 'beside a [family], an [orbit] or a [solution], or with "hopf" in [continuation] switch'
         without = not (s.family or s.collocated or cycles) and "without [family], [orbit] or [solution]"
         yield "stability", without, f"{others}, whose stability it asks for"
+        yield "stability gradient", not s.family and " without [family]", "beside a [family]"
         yield "stability sites", not s.family and " without [family]", "beside a [family] of a chain"
     if s.continuation:
         accepted = "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows"

@@ -23,12 +23,14 @@ from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
 from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row, places_of
 from casadi_skin.results.tables import (
     EVENT_COLUMNS,
+    GRADIENT_COLUMNS,
     PROVED_COLUMNS,
     TONGUE_COLUMNS,
     UNRESOLVED,
     edge_columns,
     event_rows,
     further_rows,
+    gradient_rows,
     tongue_rows,
     write_special_points,
 )
@@ -57,12 +59,14 @@ class Run(Branches):
 
     Attributes:
         tasks: those of the scene beside its branches, with their results.
+        derivatives: how many were written, in words.
     """
 
     def __init__(self, request: Request, scene_text: str, directory: Path, progress: Progress) -> None:
         super().__init__(request, progress)
         self.scene_text, self.directory = scene_text, directory
         self.tasks: list[Task] = []
+        self.derivatives = ""
         self._rows: dict[str, list[dict[str, Cell]]] = {}  # by the name of their file; those of families stand in one
         self._shown: dict[str, int] = {}  # rows of branches by their names
         self._written = 0.0
@@ -154,11 +158,24 @@ class Run(Branches):
         if first.space.is_family:
             write_netcdf(self.directory / "family.nc", dataset)
             self._write_families(branches)
+            leaving = dict(self.offshoots.leaving) if scene.continuation is not None else {}
+            self._write_gradients({**{f"j{mode_of(branch)}": branch for branch in branches}, **leaving})
         else:
             write_netcdf(self.directory / "branch.nc", dataset)
             self._write_branch(first)
         if scene.family is not None and scene.continuation is not None:
             self._write_offshoots(branches)
+
+    def _write_gradients(self, branches: Mapping[str, Branch]) -> None:
+        """gradient.csv: of special points of branches by name, of families of their changes of stability too."""
+        scene = self.request.scene
+        changes = scene.stability is not None and scene.stability.gradient
+        special = scene.continuation is not None and scene.continuation.gradient
+        if changes or special:
+            asked = ((name, branch, changes, special, self.failures) for name, branch in branches.items())
+            rows = [row for given in asked for row in gradient_rows(*given)]
+            write_csv(self.directory / "gradient.csv", GRADIENT_COLUMNS, rows)
+            self.derivatives = f"{len(rows)} derivatives of special points in gradient.csv; "
 
     def _picture(self, name: str, draw: Callable[..., Figure | None], *shown: Any) -> None:
         picture(self.request.scene, self.directory / name, draw, *shown)
@@ -202,6 +219,7 @@ class Run(Branches):
         title = self.request.scene.title or ""
         if len(branch) > 1:
             write_special_points(self.directory / "special_points.csv", {"": branch})
+            self._write_gradients({"": branch})
             self._picture("branch", figures.branch_figure, branch, title)
         self._picture("orbit", figures.orbit_figure, branch.solutions[-1], title)
 
@@ -219,6 +237,7 @@ class Run(Branches):
         if not first.parameter:
             return
         write_special_points(self.directory / "special_points.csv", branches)
+        self._write_gradients(branches)
         in_one = [branch for branch in branches.values() if not branch.space.kind]
         curves = [branch for branch in branches.values() if branch.space.kind]
         self._picture("branch", figures.bifurcation_figure, in_one, title)
@@ -300,7 +319,7 @@ def print_summary(run: Run) -> None:
             print("changes of stability were sought where neighbouring points differ; others may lie between points")
     for task in run.tasks:
         print(*task.words(), sep="\n")
-    print(f"{'' if families else _counted(branches) + '; '}results in {run.directory}")
+    print(f"{'' if families else _counted(branches) + '; '}{run.derivatives}results in {run.directory}")
 
 
 def _counted(branches: Sequence[Branch]) -> str:

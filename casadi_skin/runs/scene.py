@@ -371,6 +371,7 @@ class ContinuationTable(Table, frozen=True):
         curve: Second parameter in which folds, Hopf points, doublings, tori and edges of tongues are followed;
             accepted: a table with parameter, the name of another parameter, and to, a number; beside [equilibrium],
             [orbit], [solution] or, with S free, [family]; period doublings and tori need [stability]
+        gradient: Derivatives of special points by all other parameters, in gradient.csv
     """
 
     parameter: Text
@@ -386,6 +387,7 @@ class ContinuationTable(Table, frozen=True):
     depth: Annotated[int, Meta(ge=0)] | None = None
     limit: Thousands = 30
     curve: CurveTable | None = None
+    gradient: bool = False
 
 
 class StabilityTable(Table, frozen=True):
@@ -394,6 +396,8 @@ class StabilityTable(Table, frozen=True):
     Attributes:
         events: Locate changes of stability
         vectors: Keep the Floquet vectors at requested points
+        gradient: Derivatives of S at changes of stability by all parameters, in gradient.csv; accepted: {}; beside a
+            [family] (left out: false)
         sites: Sites at the edge of a long chain on whose motion stability is computed; accepted: a whole number from
             8 to 2000, with a tail that is eliminated (left out: all sites; of infinitely or very many as many as
             localised multipliers need)
@@ -401,6 +405,7 @@ class StabilityTable(Table, frozen=True):
 
     events: bool = True
     vectors: bool = False
+    gradient: bool = False
     sites: Annotated[int, Meta(ge=8, le=2000)] | None = None
 
 

@@ -32,6 +32,17 @@ def run(tmp_path: Path) -> Run:
     return run
 
 
+def test_gradients(run: Run) -> None:
+    """Against the derivatives of the closed form, and its spread over the draws."""
+    hopf, gradient, places = run("gradients")
+    module, h = load("gradients"), 1e-4
+    for name, (by_sigma, by_beta) in {"sigma": (h, 0.0), "beta": (0.0, h)}.items():
+        sides = (module.closed_form(10.0 + k * by_sigma, 8 / 3 + k * by_beta) for k in (1.0, -1.0))
+        assert gradient[name] == pytest.approx((next(sides) - next(sides)) / (2.0 * h), rel=1e-6)
+    assert hopf.parameters["r"] == pytest.approx(470 / 19, abs=1e-10)
+    assert gradient.spread({"sigma": 0.5, "beta": 0.1}) == pytest.approx(np.std(places), rel=0.05)
+
+
 def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.ndarray:
     """Perturbations (2N, columns) after `time`: Eq. 1 and its linearisation, written out here, by Dormand-Prince."""
     chain = orbit.model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 from critical_models import across_circle, cycles_with_fold
 from equilibrium_models import ab, symbols
+from outputs import read_rows
 from programs import Program
 from small_models import limit_cycle
 
-from casadi_skin import BoundaryValueProblem, OdeModel, find_equilibrium, find_orbit, follow_family
+from casadi_skin import BoundaryValueProblem, Chain, OdeModel, find_equilibrium, find_orbit, follow_family
+from casadi_skin.runs.program import main
 
 
 def is_close(gradient: Any, exact: Mapping[str, float], largest: float = 1e-9) -> None:
@@ -54,7 +57,7 @@ def test_the_hopf_point_of_lorenz_equations_moves_as_in_closed_form() -> None:
     """r = sigma (sigma + beta + 3) / (sigma - beta - 1)."""
     found = lorenz().gradient()
     is_close(found, LORENZ, largest=1e-11)
-    assert "all parameters but r" in found.held
+    assert found.held == "all parameters but r, and the kind of the point"
     assert found.value == pytest.approx(24.736842105263158, abs=1e-12)
 
 
@@ -257,6 +260,37 @@ def test_special_points_of_a_program_move_as_those_of_its_equations_within_their
     is_close(orbit.gradient("x_max"), {"mu": 0.5 / r / np.sqrt(1.4), "a": 0.5 * r / np.sqrt(1.4)}, largest=1e-7)
     branch = orbit.follow("mu", -0.3, until=lambda one: one.point.special == "fold")
     is_close(branch.special_points[-1].gradient(), {"a": -0.5}, largest=1e-6)
+
+
+# Edges of tongues -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sites", "to"), [(8, 1.0), pytest.param(4, 2.0, marks=pytest.mark.slow)])
+def test_edges_of_tongues_move_along_their_curves_and_scale_with_the_cubic_force(sites: int, to: float) -> None:
+    """S is proportional to 1/|g|. Two multipliers meet at the edges of eight sites, one is 1 at those of four."""
+    branch = follow_family(Chain(sites, 1.0, 0.2, -1.0), 1, to, stability=True, tolerance=1e-9)
+    edge = branch.edge(0)
+    found = edge.gradient()
+    assert list(found) == ["alpha", "gamma", "g"]
+    assert abs(found["g"] - edge.parameters["S"]) <= found.errors["g"] < 1e-8
+    ahead, behind = (edge.curve("gamma", 0.2 + way) for way in (2e-4, -2e-4))
+    far, back = (edge.curve("gamma", 0.2 + way) for way in (4e-4, -4e-4))
+    slope = (8.0 * (ahead.S[-1] - behind.S[-1]) - (far.S[-1] - back.S[-1])) / 12.0 / 2e-4
+    assert found["gamma"] == pytest.approx(slope, abs=1e-5)
+    assert max(found.errors.values()) < 1e-7
+
+
+def test_a_scene_writes_the_derivatives_of_its_special_points(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    tables = "[chain]\nsites = 8\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n[family]\nmode = 1\namplitude_max = 0.3\n"
+    scene.write_text(f"{tables}[stability]\ngradient = true\n", encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    rows = read_rows(tmp_path / "out" / "gradient.csv")
+    assert [row["parameter"] for row in rows] == ["alpha", "gamma", "g"] * 2
+    for row in rows[2::3]:
+        assert abs(float(row["derivative"]) - float(row["value"])) <= float(row["error"]) < 1e-8
+    scene.write_text(f"{tables}[stability]\ngradient = 3\n", encoding="utf-8")
+    assert main(["run", str(scene), "--out", str(tmp_path / "other"), "--quiet"]) == 2
 
 
 # Quantities of solutions ----------------------------------------------------------------------------------------------
