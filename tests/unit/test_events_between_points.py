@@ -87,7 +87,15 @@ def slope(random: np.random.Generator, dip: Growth, centre: float) -> Growth:
     return lambda s: size * (np.exp(rate * (s - centre)) - dip(s))
 
 
-@pytest.mark.parametrize(("shape", "least", "sets"), [(flat, 0.9, 1.6), (valley, 0.95, 2.5), (slope, 0.92, 2.0)])
+def parabola(random: np.random.Generator, dip: Growth, centre: float) -> Growth:
+    """A parabola through zero twice in place of the dip: values before foretell those behind."""
+    size, half, lean = 10.0 ** random.uniform((-3, -2, -6), (0.5, 0.3, -1))
+    return lambda s: size * ((s - centre) ** 2 - half**2) * (1 + lean * (s - centre))
+
+
+@pytest.mark.parametrize(
+    ("shape", "least", "sets"), [(flat, 0.9, 1.6), (valley, 0.95, 2.1), (slope, 0.92, 1.8), (parabola, 1.0, 3.0)]
+)
 def test_crossings_there_and_back_within_a_step_are_found_as_often_as_with_a_sample_on_every_step(
     shape: Callable[..., Growth], least: float, sets: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
