@@ -56,6 +56,7 @@ FUNCTIONS = {
     "collocation_equations": "aaaaa",
     "collocation_jacobians": "aaaiaaa",
     "largest_terms": "iaaaaa",
+    "collocation_times": "aaaa",
     "collocation_null_vector": "aaaaarraa",
     "collocation_missed": "aaaaaa",
     "collocation_change": "aaaaaa",

@@ -32,7 +32,8 @@ class CollocationKernel:
     ) -> None:
         n, K, R, m = sizes
         self._kernels = kernels()
-        (rows, columns), inner, longs, last = pattern, n * (R - 1), counts[1] + 1, 2 * n + m
+        rows, columns = (each.astype(np.int64) for each in pattern)
+        inner, longs, last = n * (R - 1), counts[1] + 1, 2 * n + m
         heights = [-(-height // LANES) * LANES for height in (R * n + longs, 2 * n + longs, last)]
         widths = inner + last, n + last, last
         orders = (K * R * n + (K - 1) * 2 * n + last + 1) // 2  # integers, two in the room of a real number

@@ -17,13 +17,15 @@ static const double ON_VALUE = 1e-14; /* distance of a place from a value that i
    matrices by columns. Functions that are no lists of operations, whose `of` is 0, are evaluated by CasADi before. */
 typedef struct {
     int64_t n, K, R, d, m, entries, conditions, integrals, nonzeros; /* entries of df/dx that are not zero */
-    int64_t by_ends[3];                   /* how many entries derivatives of the conditions have */
-    const double *extended, *differences; /* weights of the increments, (R, d); constant parts of the non-zeros */
-    const int64_t *stiff, *rest;          /* non-zeros that take derivatives by the states at stages, and all others */
+    int64_t by_ends[3];          /* how many entries derivatives of the conditions have */
+    const double *extended;      /* weights of the increments, (R, d) */
+    const int8_t *differences;   /* constant parts of the non-zeros */
+    const int32_t *stiff, *rest; /* non-zeros that take derivatives by the states at stages, and all others */
     const double *field, *by_states, *by_scalars, *condition, *by_end[3], *integrand, *by_x, *by_s;
     const places *of_field, *of_conditions, *of_integrands; /* of (s, x, scalars, constants); x_0, x_K for s, x */
     const double *nodes;                                    /* of the stages, (d) */
-    const int64_t *stages, *rows, *columns; /* which of the values of an interval are stages; of the non-zeros */
+    const int64_t *stages;         /* which of the values of an interval they are */
+    const int32_t *rows, *columns; /* of the non-zeros */
 } equations;
 
 static int64_t state_values(const equations *e) { return e->n * (e->K * e->R + 1); }
@@ -98,7 +100,7 @@ KERNEL(collocation_equations)(const equations *e, const double *z, const double 
                               double *nonzeros)
 {
     const int64_t n = e->n, d = e->d, own = e->integrals, scalars = e->m * n;
-    const int64_t *stiff = e->stiff, *rest = e->rest;
+    const int32_t *stiff = e->stiff, *rest = e->rest;
     const double *lengths = numbers;
     if (e->of_field)
         at_stages(e, e->of_field, z, numbers);
@@ -110,7 +112,8 @@ KERNEL(collocation_equations)(const equations *e, const double *z, const double 
         memcpy(e->of_conditions->argument[1], z + state_values(e) - n, (size_t)n * sizeof(double));
         NAMED(at_places)(e->of_conditions);
     }
-    memcpy(nonzeros, e->differences, (size_t)e->nonzeros * sizeof(double));
+    for (int64_t i = 0; i < e->nonzeros; i++)
+        nonzeros[i] = e->differences[i];
     for (int64_t k = 0; k < e->K; k++, z += e->R * n)
         for (int64_t i = 0; i < e->R; i++, residual += n) {
             const double *weights = e->extended + i * d;
@@ -141,7 +144,7 @@ KERNEL(collocation_equations)(const equations *e, const double *z, const double 
     const double *weights = e->extended + (e->R - 1) * d;
     residual += e->conditions;
     memset(residual, 0, (size_t)own * sizeof(double));
-    const int64_t *by_scalars = rest + e->K * d * own * n;
+    const int32_t *by_scalars = rest + e->K * d * own * n;
     for (int64_t i = 0; i < own * e->m; i++)
         nonzeros[by_scalars[i]] = 0.0;
     for (int64_t k = 0; k < e->K * d; k++) {
@@ -157,15 +160,16 @@ KERNEL(collocation_equations)(const equations *e, const double *z, const double 
 }
 
 /* The Jacobian times a step, (size - 1). */
-static void apply(const equations *e, const double *nonzeros, const double *step, double *sums)
+KERNEL(collocation_times)(const equations *e, const double *nonzeros, const double *step, double *sums)
 {
     memset(sums, 0, (size_t)(e->n * e->K * e->R + e->conditions + e->integrals) * sizeof(double));
     for (int64_t i = 0; i < e->nonzeros; i++)
         sums[e->rows[i]] += nonzeros[i] * step[e->columns[i]];
+    return 0;
 }
 
 /* The largest of the terms of each equation: non-zeros of a matrix times unknowns z, into `terms`, which are zero. */
-KERNEL(largest_terms)(int64_t nonzeros, const double *values, const int64_t *rows, const int64_t *columns,
+KERNEL(largest_terms)(int64_t nonzeros, const double *values, const int32_t *rows, const int32_t *columns,
                       const double *z, double *terms)
 {
     for (int64_t i = 0; i < nonzeros; i++) {
@@ -194,7 +198,7 @@ KERNEL(collocation_null_vector)(const equations *e, const void *layout, double *
     NAMED(collocation_solve)(layout, memory, 1, t);
     const double size = length_of(weights, t, count + 1);
     for (double before = size, off;; before = off) {
-        apply(e, nonzeros, t, room), room[count] = 0.0;
+        NAMED(collocation_times)(e, nonzeros, t, room), room[count] = 0.0;
         NAMED(collocation_solve)(layout, memory, 1, room);
         for (int64_t i = 0; i <= count; i++)
             t[i] -= room[i];
@@ -341,7 +345,7 @@ KERNEL(collocation_improved)(const equations *e, const checks *c, const void *la
     right[count] = more[count] = 0.0;
     memcpy(step, right, (size_t)(count + 1) * sizeof(double));
     NAMED(collocation_solve)(layout, memory, 1, step);
-    apply(e, nonzeros, step, more);
+    NAMED(collocation_times)(e, nonzeros, step, more);
     for (int64_t i = 0; i < count; i++)
         more[i] = right[i] - more[i];
     NAMED(collocation_solve)(layout, memory, 1, more);

@@ -335,8 +335,7 @@ class BorderedSolver:
     def _reproduces(self, x: Array, nonzeros: Array, row: Array) -> bool:
         """Whether the matrix times x is (0, ..., 0, 1)."""
         largest = max(x.max(), -x.min()) * max(nonzeros.max(), -nonzeros.min())
-        rows, columns = self.problem.pattern
-        defect = np.bincount(rows, nonzeros * x[columns], self.problem.size - 1)
+        defect = self.problem.times(nonzeros, x)
         return bool(
             max(defect.max(), -defect.min()) <= ACCURATE_RESIDUAL * largest and abs(row @ x - 1.0) <= ACCURATE_RESIDUAL
         )

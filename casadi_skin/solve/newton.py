@@ -202,7 +202,7 @@ class ReturningCorrector(Corrector):
         problem, (rows, columns) = self.problem, self.problem.pattern
         if not isinstance(problem, BoundaryProblem) or problem.statement.free != ("period",) or problem.walking:
             return np.zeros(rows.size)
-        first, places = problem.states - problem.formulation.states, rows * 2 * problem.size + columns
+        first, places = problem.states - problem.formulation.states, rows * np.int64(2 * problem.size) + columns
         # Conditions with a derivative by the same component at the end.
         return np.asarray((rows >= first) & np.isin(places + first, places[columns < problem.states]), dtype=float)
 

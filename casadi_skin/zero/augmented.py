@@ -171,12 +171,15 @@ class Augmented(Problem):
                 parts.append((np.arange(own), np.full(own, self.added_index)))
             more = np.arange(own, size - 1)
             parts.append((np.repeat(more, size), np.tile(np.arange(size), more.size)))
-            keys = np.concatenate([columns * (size - 1) + rows for rows, columns in parts])
+            keys = np.concatenate([columns * np.int64(size - 1) + rows for rows, columns in parts])
             found, slots = np.unique(keys, return_inverse=True)
-            return found % (size - 1), found // (size - 1), slots
+            return (found % (size - 1)).astype(np.int32), (found // (size - 1)).astype(np.int32), slots
 
         entries: tuple[Indices, Indices, Indices] = self.kept("entries", made)
         return entries
+
+    def times(self, nonzeros: Array, step: Array) -> Array:
+        return Problem.times(self, nonzeros, step)
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         at = z.tobytes() + self.numbers.tobytes()

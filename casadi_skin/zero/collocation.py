@@ -108,6 +108,9 @@ class CollocationEquations(Problem):
     def _values(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         return self.discretisation(z, numbers)
 
+    def times(self, nonzeros: Array, step: Array) -> Array:
+        return self.discretisation.times(nonzeros, step)
+
     def null_vector(self, z: Array, solve: Solve, weights: Array) -> tuple[Array, bool]:
         compiled = getattr(solve, "compiled", None)
         if compiled is None or not kernels():
@@ -168,7 +171,7 @@ class CollocationEquations(Problem):
         k, i, j = (index.ravel() for index in np.indices((K, rows, d)))
         entries = ca.reshape(by_states.nz[:], -1, K * d)[:, (k * d + j).tolist()]
         scales = (lengths[k.tolist()] * ca.DM(extended[i, j])).T
-        stiff = ca.DM(structure.below_stiff) - ca.vec(entries * ca.repmat(scales, entries.size1(), 1))
+        stiff = ca.DM(structure.differences[structure.stiff]) - ca.vec(entries * ca.repmat(scales, entries.size1(), 1))
         rest = [-ca.vec(ca.reshape(by_scalars, m * n, K * d) @ weights), *(part.nz[:] for part in conditions[1:])]
         if self.formulation.integrals:
             e, by_x, by_s = self.formulation.integrand_function.map(K * d)(*along)

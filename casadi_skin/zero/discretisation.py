@@ -25,6 +25,7 @@ from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Buffers, Indices, Solve
 
 Pattern = tuple[tuple[int, ...], ...]  # rows and columns of non-zeros, by columns
+Places = NDArray[np.int32]  # of the non-zeros of a mesh: of a thousand states these fill the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,20 +153,18 @@ class Structure:
 
     Attributes:
         rows, columns: places of the non-zeros, column by column.
-        differences: the part of the non-zeros that is constant.
+        differences: the part of the non-zeros that is constant, 1, -1 or 0, in a byte each.
         stiff: the non-zero that takes each entry of the field's derivatives by the states at the stages.
-        below_stiff: the constant part of these non-zeros.
         rest: the same for derivatives by the scalars, of the conditions and of the integrals.
         stage: columns of the state values that are stages, the last one twice: there are as many check points.
         start: columns of the starts of the intervals.
     """
 
-    rows: Indices
-    columns: Indices
-    differences: Array
-    stiff: Indices
-    below_stiff: Array
-    rest: Indices
+    rows: Places
+    columns: Places
+    differences: NDArray[np.int8]
+    stiff: Places
+    rest: Places
     stage: Indices
     start: Indices
     _made: dict[str, Any] = field(default_factory=dict)
@@ -208,15 +207,17 @@ def structure_of(
         parts.append(np.broadcast_arrays(first, stage[:, None, None] * n + component[:, None]))
         parts.append(np.broadcast_arrays(first, scalars[:, None]))
     equations = bottom + sum(counts)
-    keys = [columns.ravel() * equations + rows.ravel() for rows, columns in parts]
-    found, slots = np.unique(np.concatenate(keys), return_inverse=True)
-    plus, minus, by_states, *rest = np.split(slots, np.cumsum([key.size for key in keys])[:-1])
-    differences = np.zeros(found.size)
-    differences[plus], differences[minus] = 1.0, -1.0
-    return Structure(
-        found % equations, found // equations, differences, by_states, differences[by_states], np.concatenate(rest),
-        np.append(stage, stage[-1]), start,
-    )  # fmt: skip
+    sizes = [np.size(rows) for rows, _ in parts]
+    keys = np.concatenate([(columns * equations + rows).ravel() for rows, columns in parts])
+    order = np.argsort(keys, kind="stable")
+    keys, slots = keys[order], np.empty(keys.size, dtype=np.int32)
+    new = np.append(True, keys[1:] != keys[:-1])
+    slots[order], keys = np.cumsum(new, dtype=np.int32) - 1, keys[new]
+    plus, minus, by_states, *rest = np.split(slots, np.cumsum(sizes)[:-1])
+    differences = np.zeros(keys.size, dtype=np.int8)
+    differences[plus], differences[minus] = 1, -1
+    rows, columns = (keys % equations).astype(np.int32), (keys // equations).astype(np.int32)
+    return Structure(rows, columns, differences, by_states, np.concatenate(rest), np.append(stage, stage[-1]), start)
 
 
 class Discretisation:
@@ -298,6 +299,14 @@ class Discretisation:
         """How many of the unknowns are values of states."""
         return self._states
 
+    def times(self, nonzeros: Array, step: Array) -> Array:
+        """A matrix of the pattern of the Jacobian times a step, shape (equations,)."""
+        if not kernels():
+            return np.asarray(np.bincount(self.rows, nonzeros * step[self.columns], self.equations), dtype=float)
+        found = np.empty(self.equations)
+        kernels()["collocation_times"](self.compiled, nonzeros, np.ascontiguousarray(step), found)
+        return found
+
     def _lay(self, lengths: Array) -> None:
         """Set the places of the stages, shape (K d + 1, 1), and the weights of their increments, shape (K, R, d)."""
         on = lengths.tobytes()
@@ -339,9 +348,8 @@ class Discretisation:
             value, by_x, by_s = map(self._by_stages, self._integrands(*arguments))
             residual.append(quadrature @ value.reshape(K * d, own))
             rest += [(quadrature[:, None] * by_x.reshape(K * d, -1)).ravel(), quadrature @ by_s.reshape(K * d, -1)]
-        nonzeros = self.structure.differences.copy()
-        stiff = self.structure.stiff
-        nonzeros[stiff] = self.structure.below_stiff - (weights[..., None] * by_states.reshape(K, 1, d, -1)).ravel()
+        nonzeros = self.structure.differences.astype(float)
+        nonzeros[self.structure.stiff] -= (weights[..., None] * by_states.reshape(K, 1, d, -1)).ravel()
         nonzeros[self.structure.rest] = np.concatenate(rest)
         return np.concatenate(residual), nonzeros
 
@@ -433,7 +441,7 @@ def improved(
     left, between = missed(equations, z, numbers)
     right = np.append(residual + left, 0.0)
     step = solve(right)
-    right[:-1] -= np.bincount(equations.rows, nonzeros * step[equations.columns], equations.equations)
+    right[:-1] -= equations.times(nonzeros, step)
     more = solve(right)
     step = step + more
     changes = change_of(equations, step, between, sizes), change_of(equations, more, None, sizes)
@@ -444,7 +452,8 @@ def largest_terms(nonzeros: Array, rows: Indices, columns: Indices, z: Array, co
     """The largest of the terms of each of `count` equations: derivatives times the unknowns."""
     found = np.zeros(count)
     if kernels():
-        kernels()["largest_terms"](nonzeros.size, nonzeros, rows, columns, np.ascontiguousarray(z), found)
+        places = (np.ascontiguousarray(each, dtype=np.int32) for each in (rows, columns))
+        kernels()["largest_terms"](nonzeros.size, nonzeros, *places, np.ascontiguousarray(z), found)
     else:
         np.maximum.at(found, rows, np.abs(nonzeros * z[columns]))
     return found

@@ -20,7 +20,7 @@ from casadi_skin.native import kernels
 from casadi_skin.native.places import at_places
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+Indices = NDArray[np.signedinteger[Any]]  # of eight bytes, or of four where there are very many
 
 Other = TypeVar("Other", bound="Problem")
 
@@ -244,8 +244,12 @@ class Problem(ABC):
 
     def applied(self, z: Array, step: Array) -> Array:
         """The Jacobian at z times a step, shape (size - 1,)."""
+        return self.times(self.evaluate(z)[1], step)
+
+    def times(self, nonzeros: Array, step: Array) -> Array:
+        """A matrix of the pattern of the Jacobian times a step."""
         rows, columns = self.pattern
-        return np.asarray(np.bincount(rows, self.evaluate(z)[1] * step[columns], self.size - 1), dtype=float)
+        return np.asarray(np.bincount(rows, nonzeros * step[columns], self.size - 1), dtype=float)
 
     def null_vector(self, z: Array, solve: Solve, weights: Array) -> tuple[Array, bool]:
         """What the Jacobian at z maps to zero and the row that closed `solve` to 1; whether its last step was small.

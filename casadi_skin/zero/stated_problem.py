@@ -122,8 +122,8 @@ class BoundaryProblem(CollocationEquations):
 
     def units_at(self, z: Array, nonzeros: Array) -> tuple[Array, Array]:
         """Sizes of unknowns, and of the largest terms of residuals."""
-        (sizes, least), largest = self.sizes_at(z), np.zeros(self.size - 1)
-        np.maximum.at(largest, self.pattern[0], np.abs(nonzeros) * sizes[self.pattern[1]])
+        sizes, least = self.sizes_at(z)
+        largest = largest_terms(nonzeros, *self.pattern, sizes, self.size - 1)
         conditions = largest[self.states - self.formulation.states :]
         conditions[:] = np.maximum(conditions, least)
         return sizes, largest
