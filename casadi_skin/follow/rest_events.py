@@ -14,7 +14,8 @@ saddles have no eigenvalue on the axis, and are not seen.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -28,6 +29,7 @@ from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, hermite
 from casadi_skin.follow.search import CLEAR_DISTANCE, Search, gap_between
 from casadi_skin.follow.space import SolutionSpace
 from casadi_skin.follow.special_points import locate_rest
+from casadi_skin.native import kernels
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.balanced import BalancedMatrix, dense
 from casadi_skin.zero.half_plane import HalfPlaneError
@@ -42,9 +44,8 @@ LEDGER_LENGTH = 6.0  # of a branch, in units of its states, that has as many pla
 MOST_PLACES_BETWEEN = 8192  # places between two points
 NEWTON_STEPS = 4  # steps
 SETTLED_STEP = 1e-7  # of a stretch: a step that is none
-SMALL_STATE_COUNT = (
-    16  # states: eigenvalues of more are computed only where derivatives are not what is between two points
-)
+# States: eigenvalues of more are computed only where derivatives are not what is between two points.
+SMALL_STATE_COUNT = 16
 SMALL_EIGENVALUE_RTOL, SMALL_ENTRY_RTOL = 1e-6, 1e-9  # of the largest: real parts that rounding may decide
 PROVED_EVERY = 8  # stretches of a branch of a large system
 SURE_CHANGE_FACTOR = 10.0  # times the change of an eigenvalue, to first order, that leaves it on its side
@@ -95,7 +96,7 @@ class Counts:
                 with suppress(SingularError):
                     tangent = solver.tangent(problem, z, solver.factor(problem, z, self.row))
                     found.append(self.before.marked("", z=z, tangent=tangent))
-        return [point for point in found if not equations.sample(point).blurred]
+        return [point for point in found if not equations.blurred(point)]
 
     def violation(self, events: Sequence[Point]) -> tuple[int, int] | None:
         """Neighbouring places between which events do not account for the numbers; None where they do throughout."""
@@ -125,7 +126,7 @@ class Places:
     Attributes:
         before, after: the points.
         row: the metric times the tangent of the first.
-        sigma: places by row . (z - z of the first), both ends among them.
+        length: of the stretch by row . (z - z of the first), on which places are at equal distances.
         unknowns: the equilibria, shape (place, unknowns).
         entries: non-zeros of the Jacobians there, but for a last step that is none, shape (place, non-zeros).
         settled: where the steps became small.
@@ -134,26 +135,29 @@ class Places:
     before: Point
     after: Point
     row: Array
-    sigma: Array
+    length: float
     unknowns: Array
     entries: Array
     settled: Flags
 
+    @property
+    def fractions(self) -> Array:
+        """Where they are, as fractions of the stretch, both ends among them."""
+        return np.linspace(0.0, 1.0, len(self.unknowns))
+
     @classmethod
     def of(cls, equations: SolutionSpace, before: Point, after: Point) -> Places:
         """As many as the ledger has between two points."""
-        solver = equations.point_solver
-        joined, weights = solver.joined(before, after), solver.metric(before.problem, before.z)
+        solver, problem = equations.point_solver, before.problem
+        joined = solver.joined(before, after)
         row, curve = joined.row, joined.curve
         over = LEDGER_PLACES if equations.statics.exact else OF_PROGRAMS
         many = max(abs(after.parameter - before.parameter), curve.length / LEDGER_LENGTH)
-        count = int(np.clip(np.ceil(over * many), 3, MOST_PLACES_BETWEEN))
-        sigma = curve.length * np.linspace(0.0, 1.0, count + 1)
-        guesses = curve.at(sigma)
-        guesses[[0, -1]] = before.z, after.z
-        return cls(
-            before, after, row, sigma, *_solved(before.problem, guesses, row, SETTLED_STEP * curve.length, weights)
-        )
+        count = min(max(math.ceil(over * many), 3), MOST_PLACES_BETWEEN)
+        guesses, _ = curve.samples(curve.length, count + 1)
+        guesses[0], guesses[-1] = before.z, after.z
+        still, weights = SETTLED_STEP * curve.length, solver.metric(problem, before.z)
+        return cls(before, after, row, curve.length, *_solved(problem, guesses, row, still, weights))
 
     def clear(self, equations: SolutionSpace) -> bool:
         """Whether every eigenvalue stays on its side of the imaginary axis, by far more than it moves between places.
@@ -165,6 +169,10 @@ class Places:
             return False
         if problem.statics.size > SMALL_STATE_COUNT:
             return self._stay(*map(equations.leading, (self.before, self.after)))
+        if problem.along is not None:
+            small = np.array([SMALL_EIGENVALUE_RTOL, SMALL_ENTRY_RTOL])
+            data = problem.along, len(self.entries), self.entries, SURE_CHANGE_FACTOR, small
+            return not kernels()["keep_sides"](*data)
         matrices = problem.filled(self.entries)[:, :, :-1]
         real = np.sort(np.linalg.eigvals(matrices).real, axis=1)
         moved, (low, high) = np.abs(real[1:] - real[:-1]).max(axis=0), (real.min(axis=0), real.max(axis=0))
@@ -182,7 +190,7 @@ class Places:
 
     def _real_parts(self, first: Leading, last: Leading) -> tuple[Array, Array]:
         """The largest real parts at both ends, and their rates over the stretch, shape (2, eigenvalues)."""
-        many, length, ends = leading_count(first, last), self.sigma[-1], (first, last)
+        many, length, ends = leading_count(first, last), self.length, (first, last)
         rates = (length, length / float(self.row @ self.after.tangent))
         return np.array([end.values.real[:many] for end in ends]), np.array(
             [end.rates.real[:many] * rate for end, rate in zip(ends, rates, strict=True)]
@@ -190,11 +198,7 @@ class Places:
 
     def unlike(self, first: Leading, last: Leading) -> Flags:
         """Where derivatives are not what is between a few places, by as much as may take an eigenvalue across."""
-        problem, fractions, (g, slopes) = (
-            self.before.problem,
-            self.sigma / self.sigma[-1],
-            self._real_parts(first, last),
-        )
+        problem, fractions, (g, slopes) = self.before.problem, self.fractions, self._real_parts(first, last)
         nodes = np.unique(np.linspace(0, len(fractions) - 1, 4).astype(int))
         weights = np.array([[np.prod([(t - fractions[j]) / (fractions[i] - fractions[j]) for j in nodes if j != i])
                              for i in nodes] for t in fractions])  # fmt: skip
@@ -214,10 +218,10 @@ def leading_count(first: Leading, last: Leading) -> int:
 
 def counted(equations: SolutionSpace, places: Places) -> Counts | None:
     """The numbers of unstable eigenvalues between two points; None where the branch is not found there."""
-    before, after, sigma, unknowns = places.before, places.after, places.sigma, places.unknowns
-    problem = before.problem
+    before, after, fractions, unknowns = places.before, places.after, places.fractions, places.unknowns
+    problem, sigma = before.problem, places.length * fractions
     for k in np.flatnonzero(~places.settled):
-        point = equations.point_solver.along(before, after, float(sigma[k] / sigma[-1]))
+        point = equations.point_solver.along(before, after, float(fractions[k]))
         if point is None:
             return None
         unknowns[k] = point.z
@@ -240,9 +244,10 @@ def _solved(
     """Equilibria near states, each at its place along; non-zeros of Jacobians, and whether the steps settled."""
     z, left, settled = z.copy(), np.arange(len(z)), np.zeros(len(z), dtype=bool)
     kept = np.empty((len(z), problem.pattern[0].size))
-    steps_of: Callable[[Array, Array], Array] = partial(
-        _chord_steps if problem.statics.is_sparse else _steps, problem, row
-    )
+    if problem.along is not None:
+        kernels()["rests_along"](problem.along, len(z), NEWTON_STEPS, still, row, weights, z, kept, settled)
+        return z, kept, settled
+    steps_of = partial(_chord_steps if problem.statics.is_sparse else _steps, problem, row)
     for _ in range(NEWTON_STEPS):
         residuals, kept[left] = problem.equations_at_all(z[left])
         try:
@@ -418,7 +423,7 @@ class _Search(Search):
         return replace(sample, values=sample.values**2, rates=2.0 * sample.values * sample.rates)
 
     def is_clear(self, point: Point) -> bool:
-        return not self.sample(point).blurred
+        return not self.equations.blurred(self.own(point))
 
     def passes(self, ends: SampledStretch) -> bool:
         return False
@@ -438,10 +443,8 @@ class _Search(Search):
         wanted = [(kind, (reals or [NO_CROSSING])[0]) for kind in kinds] + [(HOPF, one) for one in pairs]
         located = [self.located(stretch, kind, crossing) for kind, crossing in wanted]
         known = sorted((one for one in located if one is not None), key=lambda one: one[:2])
-        twice = any(
-            np.allclose(one[:2], other[:2], rtol=SAME_POINT_RTOL, atol=SAME_POINT_RTOL)
-            for one, other in pairwise(known)
-        )
+        alike = partial(np.allclose, rtol=SAME_POINT_RTOL, atol=SAME_POINT_RTOL)
+        twice = any(alike(one[:2], other[:2]) for one, other in pairwise(known))
         return None if twice or len(known) < len(wanted) else [point for *_, point in known]
 
     def _crossings(self, stretch: SampledStretch) -> list[Crossing]:

@@ -6,6 +6,7 @@ imaginary axis or beside it (see `half_plane`), unless there are too many: then 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from casadi_skin.follow.samples import Sample
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.balanced import DERIVATIVE_ROUNDING, BalancedMatrix, ComplexArray, dense
 from casadi_skin.zero.half_plane import HalfPlane, HalfPlaneError
-from casadi_skin.zero.problem import EPSILON, Array, SingularError
+from casadi_skin.zero.problem import EPSILON, Array, SingularError, Solve
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.settings import Point
 
@@ -113,28 +114,37 @@ def _rounding(problem: AlgebraicProblem) -> float:
 
 def sample_of(point: Point, weights: Array, leading: Leading) -> Sample:
     """The sample at a point with its eigenvalues."""
-    problem, z, t, row = point.problem, point.z, point.tangent, weights * point.tangent
-    raw, change, (rows, columns) = problem.entries(z), leading.change, problem.pattern
-    largest, count = problem.equation_sizes(z, raw), problem.size - 1
+    problem, row = point.problem, weights * point.tangent
+    (_, largest, solve), orientation, bend = _closed(point, row), 0.0, np.zeros(problem.size)
+    if solve is not None:
+        orientation = solve.orientation
+        bend = solve(np.append(-problem.times(leading.change, point.tangent) / largest, 0.0))
+    bend = np.where(np.isfinite(bend), bend, 0.0)
+    return Sample(point, row, leading.values, leading.rates, leading.noise, bend, orientation)
 
-    def products(values: Array, v: Array) -> Array:
-        return np.bincount(rows, values * v[columns], count).astype(float)
 
-    terms = products(np.abs(raw), np.abs(t)) + products(np.abs(change), problem.units_of_all(z))
+def is_blurred(point: Point, weights: Array, leading: Leading) -> bool:
+    """Whether rounding decides the sign of the rate of the parameter, as at a branch point itself."""
+    problem, t = point.problem, point.tangent
+    raw, largest, solve = _closed(point, weights * t)
+    if solve is None:
+        return True
+    terms = problem.times(np.abs(raw), np.abs(t))
+    terms += problem.times(np.abs(leading.change), problem.units_of_all(point.z))
     shaken = DERIVATIVE_ROUNDING * _rounding(problem) * terms / largest * problem.probe
-    orientation, bend, unsure = 0.0, np.zeros(problem.size), np.inf
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        try:  # a branch point is singular
-            solve = BorderedSolver.of(problem).unchecked(raw / largest[rows], row)
-            orientation = solve.orientation
-            bend = solve(np.append(-products(change, t) / largest, 0.0))
-            unsure = abs(float(solve(np.append(shaken, 0.0))[-1]))
-        except SingularError:
-            pass
-    return Sample(
-        point, row, leading.values, leading.rates, leading.noise, np.where(np.isfinite(bend), bend, 0.0), orientation,
-        blurred=not unsure < abs(float(t[-1])),
-    )  # fmt: skip
+    return not abs(float(solve(np.append(shaken, 0.0))[-1])) < abs(float(t[-1]))
+
+
+def _closed(point: Point, row: Array) -> tuple[Array, Array, Solve | None]:
+    """Derivatives as they are written, the largest of each equation, and the solution of all over these with a row.
+
+    A branch point is singular, and has none.
+    """
+    problem, raw = point.problem, point.problem.entries(point.z)
+    largest = problem.equation_sizes(point.z, raw)
+    with suppress(SingularError):
+        return raw, largest, BorderedSolver.of(problem).unchecked(raw / largest[problem.pattern[0]], row)
+    return raw, largest, None
 
 
 def rightmost(sample: Sample, count: int) -> Sample:

@@ -15,21 +15,13 @@ from casadi_skin.follow.codimension_two import EquilibriumCurveSearch, special_o
 from casadi_skin.follow.normal_forms import terms_of
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.follow.rest_events import Census, special_between
-from casadi_skin.follow.rest_samples import Leading, sample_of
+from casadi_skin.follow.rest_samples import Leading, is_blurred, sample_of
 from casadi_skin.follow.samples import Sample
 from casadi_skin.follow.solution import Equilibrium, Solution, following_settings
 from casadi_skin.follow.space import EQUILIBRIA, EquilibriumError, ParameterSpace, corrector_of, of_last_points
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model import methods
-from casadi_skin.model.arguments import (
-    by_name,
-    check_name,
-    number,
-    number_within,
-    short_repr,
-    state_by_name,
-    whole,
-)
+from casadi_skin.model.arguments import by_name, check_name, number, number_within, short_repr, state_by_name, whole
 from casadi_skin.model.integrators import simulated
 from casadi_skin.model.jumps import PARAMETER, STATE, JumpError
 from casadi_skin.model.ode import OdeModel
@@ -114,6 +106,11 @@ class EquilibriumSpace(ParameterSpace):
     def sample(self, point: Point) -> Sample:
         """Eigenvalues and rates at a point."""
         return sample_of(point, self.point_solver.metric(point.problem, point.z), self.leading(point))
+
+    @of_last_points
+    def blurred(self, point: Point) -> bool:
+        """Whether rounding decides the sign of the rate of the parameter at a point."""
+        return is_blurred(point, self.point_solver.metric(point.problem, point.z), self.leading(point))
 
     @of_last_points
     def leading(self, point: Point) -> Leading:

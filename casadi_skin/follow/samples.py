@@ -42,7 +42,6 @@ class Sample:
         leading: values and rates of other quantities that matter, in place of the rate of the parameter.
         turn: period of the imaginary parts: 2 pi of logarithms of multipliers, infinite of eigenvalues.
         groups: a number for each value where only values of one group may be the same elsewhere; None where all may.
-        blurred: whether rounding decides the sign of the rate of the parameter, as at a branch point itself.
         still: sizes up to which the leading quantities, or the rate of the parameter, are zero.
     """
 
@@ -56,7 +55,6 @@ class Sample:
     leading: tuple[tuple[float, float], ...] | None = None
     turn: float = np.inf
     groups: Indices | None = None
-    blurred: bool = False
     still: Array | float = STILL_RATE
 
     @property

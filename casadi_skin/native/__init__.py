@@ -13,6 +13,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
 | program.c, places.c | expressions, operations that are alike together, or at many places | CasADi |
+| rests.c | equilibria along a stretch, and the sides of their eigenvalues | `follow.rest_events` |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
 | elimination.c | cells of a row eliminated from its free end on | `stability.tongues.hill` |
 | interval_maps.c | maps over the intervals of collocation | `stability.full_period` |
@@ -67,6 +68,8 @@ FUNCTIONS = {
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",
     "at_places": "a",
+    "rests_along": "aiiraaaaa",
+    "keep_sides": "aiara",
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",

@@ -12,6 +12,7 @@ from casadi_skin.model.operations import read
 from casadi_skin.native import KINDS, PROGRAM, Array, Indices, Structure, address, kernels
 
 PLACES = "iiii" + "aaaaa"
+RESTS = "ii" + "aaaa"
 TOGETHER = 32  # places whose numbers go through all operations together: of a hundred operations they stay in a cache
 
 
@@ -33,6 +34,14 @@ def _listed(function: ca.Function, together: int) -> tuple[Indices, Indices, Arr
             at, one, other = (together * place for place in (k, places[0], places[-1]))
             lists.append((KINDS[code], together, at, one, 1, other, 1))
     return np.array(lists, dtype=np.int64).reshape(-1, 7), together * np.array(results, dtype=np.int64), values
+
+
+def rests(function: Structure, states: int, pattern: tuple[Indices, Indices]) -> Structure:
+    """Equations of a model at rest, a `function` at several places, as rests.c takes them.
+
+    `pattern` is that of the derivatives by the states and the parameter.
+    """
+    return Structure(RESTS, states, pattern[0].size, function, *pattern, np.empty(2 * (states + 1) * (states + 8)))
 
 
 def at_places(

@@ -22,6 +22,8 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import Result
+from casadi_skin.native import MOST_STATES, Structure
+from casadi_skin.native.places import rests
 from casadi_skin.zero.balanced import (
     ROUNDED_COMPONENT_RATIO,
     BalancedMatrix,
@@ -388,16 +390,18 @@ class AlgebraicProblem(Undiscretised):
             known[self.walking.name] = self.walking.at(scalars[len(self.free) + self.added])
         return in_order(self.statics.values | known, scalars)
 
-    def _equations(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+    @cached_property
+    def function(self) -> ca.Function:
+        """Function (z, nothing) -> (F, dF/dz), of operations where the model's is."""
         kind, sizes = type(self.statics.model.state), (self.states, self.size - self.states)
         y, scalars = (kind.sym(name, size) for name, size in zip("yp", sizes, strict=True))
         scale = ca.DM(self.scale)
         R = ca.densify(self.statics.function(scale * y, self.parameters_at(scalars)) / scale)
         by_parts = [ca.jacobian(R, part) for part in (y, scalars)]
         function = ca.Function("algebraic", [y, scalars], [R, ca.horzcat(*by_parts)])
-        symbol = ca.MX.sym("z", self.size)
-        residual, jacobian = function(*ca.vertsplit(symbol, np.cumsum([0, *sizes]).tolist()))
-        return symbol, residual, jacobian
+        z = kind.sym("z", self.size)
+        results = function(*ca.vertsplit(z, np.cumsum([0, *sizes]).tolist()))
+        return ca.Function("equations", [z, kind.sym("constants", 0)], results)
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         """Residual and non-zeros of the Jacobian, each equation relative to its largest derivative.
@@ -549,17 +553,18 @@ class AlgebraicProblem(Undiscretised):
 
     def equations_at_all(self, z: Array) -> tuple[Array, Array]:
         """Residuals and non-zeros of Jacobians of the equations as they are written at states (k, size)."""
-        residual, nonzeros = np.empty((len(z), self.size - 1)), np.empty((len(z), self.pattern[0].size))
-        for start in range(0, len(z), TOGETHER):
-            some = z[start : start + TOGETHER]
-            filled = np.concatenate([some, np.repeat(some[-1:], TOGETHER - len(some), axis=0)])
-            found = self._several(filled, self.numbers)
-            residual[start : start + TOGETHER], nonzeros[start : start + TOGETHER] = (
-                values.reshape(TOGETHER, -1)[: len(some)] for values in found
-            )
+        groups = np.minimum(np.arange(-(-len(z) // TOGETHER) * TOGETHER), len(z) - 1).reshape(-1, TOGETHER)
+        found = [[v.reshape(TOGETHER, -1).copy() for v in self._several(z[some], self.numbers)] for some in groups]
+        residual, nonzeros = (np.concatenate(parts)[: len(z)] for parts in zip(*found, strict=True))
         return residual, nonzeros
 
     @cached_property
     def _several(self) -> Buffers:
         """The equations at several states at once."""
         return Buffers(self.compiled, TOGETHER)
+
+    @cached_property
+    def along(self) -> Structure | None:
+        """The same as kernels take them along a branch; None of more states, and where they are none of operations."""
+        places = self._several.places if self.states <= MOST_STATES else None
+        return None if places is None else rests(places, self.states, self.pattern)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import casadi as ca
 import numpy as np
 import pytest
 from equilibrium_models import branch_of, has_points, symbols
+from kernels import needs_kernels
 
 from casadi_skin import Branch, OdeModel, find_equilibrium
 from casadi_skin.follow import rest_events
@@ -22,12 +25,37 @@ def bump(place: float, shape: str, moves: bool = False) -> OdeModel:
     return OdeModel("bump", ca.vertcat(x, y, z), rhs, p)
 
 
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("shape", ["gaussian", "lorentzian"])
 def test_both_hopf_points_of_a_narrow_bump_are_found_at_any_place(shape: str) -> None:
     """Closed form: place -+ 0.001; between points of the branch nothing else shows them."""
     for place in np.random.default_rng(7).uniform(0.02, 0.98, 3):
         branch = find_equilibrium(bump(place, shape), [0.0, 0.0, 0.0], parameters={"p": 0.0}).follow("p", 1.0)
         has_points(branch, [("hopf", place - 1e-3), ("hopf", place + 1e-3)], 1e-9)
+
+
+@needs_kernels
+def test_equilibria_along_a_branch_and_sides_of_eigenvalues_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    rates = lambda x, y, z, p: [p * x - 2 * y - x * z, 2 * x + p * y - y**3, ca.sin(3 * p) + x - 5 * z]  # noqa: E731
+    branch = branch_of("x y z", rates, [0.0, 0.0, 0.0], 1.5, p=-1.5)
+    walked, sides = [one.point for one in branch.solutions if one.point.walked], set[tuple[bool, bool]]()
+    for ends in pairwise(walked):
+        compiled = rest_events.Places.of(branch.space, *ends)
+        with monkeypatch.context() as patch:
+            patch.setitem(vars(branch.space.problem), "along", None)
+            plain = rest_events.Places.of(branch.space, *ends)
+        assert compiled.settled.all()
+        np.testing.assert_array_equal(compiled.settled, plain.settled)
+        np.testing.assert_allclose(compiled.unknowns, plain.unknowns, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(compiled.entries, plain.entries, rtol=0, atol=1e-7)
+        for factor in 10.0 ** np.linspace(-1.0, 4.0, 26):  # at the largest no eigenvalue is far enough away
+            monkeypatch.setattr(rest_events, "SURE_CHANGE_FACTOR", factor)
+            with monkeypatch.context() as patch:
+                own = compiled.clear(branch.space)
+                patch.setitem(vars(branch.space.problem), "along", None)
+                assert plain.clear(branch.space) == own
+            sides.add((factor < 1.0, own))
+    assert len(sides) == 4  # a pair crosses the axis, and far from there each keeps its side
 
 
 def test_where_the_state_has_the_bump_both_are_found_or_the_stretch_is_named() -> None:
