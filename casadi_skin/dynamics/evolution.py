@@ -59,7 +59,6 @@ class EquationsOfMotion:
     """
 
     model: Any
-    physical: OdeModel
     parameters: Mapping[str, float]
     values: Array
     names: tuple[str, ...]
@@ -69,14 +68,19 @@ class EquationsOfMotion:
     well: float = np.inf
 
     @property
+    def physical(self) -> OdeModel:
+        """The model in physical coordinates, that of a chain made where it is asked for."""
+        return self.model if isinstance(self.model, OdeModel) else _physical_model(self.model)
+
+    @property
     def positions(self) -> int:
         """Number of positions; 0 in a model of first order."""
-        return self.physical.size if self.physical.order == 2 else 0
+        return self.size // 2 if self.gauge is not None or self.physical.order == 2 else 0
 
     @property
     def size(self) -> int:
         """Number of components of the state, positions then velocities in a model of second order."""
-        return self.physical.full_size
+        return len(self.names)
 
     @cached_property
     def linear_frequencies(self) -> tuple[float, float] | None:
@@ -175,7 +179,7 @@ def model_equations(model: OdeModel, parameters: Mapping[str, float] | None = No
     values = np.array(list(known.values()))
     gauge = _gauge_of(model, values)
     by_default = gauge is not None and 0.0 < -float(np.min(gauge.log_scale)) <= LONGEST_ENVELOPE
-    return EquationsOfMotion(model, model, known, values, model.state_names, gauge, by_default)
+    return EquationsOfMotion(model, known, values, model.state_names, gauge, by_default)
 
 
 def _gauge_of(model: OdeModel, values: Array) -> Gauge | None:
@@ -194,10 +198,8 @@ def _gauge_of(model: OdeModel, values: Array) -> Gauge | None:
     return Gauge(scaled, np.empty(0), log_scale)
 
 
-@lru_cache(maxsize=2)
-def _models(chain: Chain) -> tuple[OdeModel, OdeModel]:
-    """In the gauge, and in physical coordinates; the last are kept, since evolutions of a chain are often many."""
-    return chain.gauge_model(), chain.physical_model()
+# The last models of chains are kept, since evolutions of one are often many.
+_gauge_model, _physical_model = (lru_cache(maxsize=2)(make) for make in (Chain.gauge_model, Chain.physical_model))
 
 
 def chain_equations(chain: Chain, parameters: Mapping[str, float] | None = None) -> EquationsOfMotion:
@@ -214,9 +216,8 @@ def chain_equations(chain: Chain, parameters: Mapping[str, float] | None = None)
     if chain.g < 0 and chain.alpha > -2.0:
         well = float(np.sqrt((2.0 + chain.alpha) / -chain.g))
     names = tuple(f"{x}_{n}" for x in "yv" for n in range(1, chain.sites + 1))
-    in_gauge, physical = _models(chain)
-    gauge = Gauge(in_gauge, values, chain.log_rho)  # eta at S = 1, where kappa is g
-    return EquationsOfMotion(chain, physical, chain.parameters, values, names, gauge, True, escape, well)
+    gauge = Gauge(_gauge_model(chain), values, chain.log_rho)  # eta at S = 1, where kappa is g
+    return EquationsOfMotion(chain, chain.parameters, values, names, gauge, True, escape, well)
 
 
 # The cycle that an evolution settles on: where it returns to itself, followed on where its outputs do not show it -----

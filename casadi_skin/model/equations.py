@@ -53,7 +53,7 @@ class Equations:
         """Number of components of the first-order state."""
         return self.size * self.order
 
-    @property
+    @cached_property
     def full_state(self) -> Expression:
         """The first-order state: x, or positions then velocities."""
         return self.state if self.velocity is None else ca.vertcat(self.state, self.velocity)
