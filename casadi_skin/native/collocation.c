@@ -550,9 +550,10 @@ static void add_products(int64_t size, const int64_t *restrict columns, const in
    of their own, conditions at least `least`; of which the last is not solved for without `sizes`. They
    have to be those of a regular matrix. Returns 0, or 1 where that is singular but for rounding. A NaN fails every
    comparison. `room` has `size` numbers. */
-KERNEL(collocation_factors)(const layout *l, const double *nonzeros, const double *row, const double *sizes,
+KERNEL(collocation_factors)(const void *of, const double *nonzeros, const double *row, const double *sizes,
                             double least, double *memory, double *sign, double *x, double *room)
 {
+    const layout *l = of;
     const factors f = within(l, memory);
     const int64_t bottom = l->n * l->K * l->R, size = bottom + l->n + l->m;
     double *raw = x + size, *general = raw + size;

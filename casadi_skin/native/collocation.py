@@ -10,6 +10,9 @@ LAYOUT = 20 * "i" + "aaarra"
 EQUATIONS = 12 * "i" + 21 * "a"
 CHECKS = 3 * "i" + 7 * "a"
 INTERVALS = 4 * "i" + 3 * "a"
+UNITS = "iiiaarr"
+NEWTON = "i" + 7 * "r"
+ENDS = ("CONVERGED", "DIVERGED", "TOO_MANY_ITERATIONS", "SINGULAR")  # of Newton's method, as equations.c numbers them
 
 
 class CollocationKernel:
@@ -41,7 +44,7 @@ class CollocationKernel:
         matrices = K * heights[0] * widths[0], (K - 1) * heights[1] * widths[1], heights[2] * last
         parts = *matrices, (n * (K + 1) + m) * longs, 2 * (K * R * n + n + m), room, orders
         at = np.cumsum([0, *(-(-part // LANES) * LANES for part in parts)])
-        self._n, self._K, self._size, self._room = n, K, n * (K * R + 1) + m, int(at[-1]) + LANES
+        self._nonzeros, self._size, self._room = rows.size, n * (K * R + 1) + m, int(at[-1]) + LANES
         # Columns of each non-zero counted from x_k, x_(k+1) or the first scalar, and the rows from its interval's.
         bottom, (k, row) = n * K * R, np.divmod(rows, R * n)
         scalar, column = columns - bottom - n, columns - k * R * n
@@ -74,6 +77,26 @@ class CollocationKernel:
             give_back(memory)
             return None
         return memory, float(sign[0])
+
+    def corrected(
+        self, equations: Structure, units: Structure | None, newton: Structure, numbers: Array, weights: Array,
+        row: Array, value: float, guess: Array,
+    ) -> tuple[str, int, Array, tuple[Array, Array], tuple[Array, float]]:  # fmt: skip
+        """How Newton's method ends, in how many steps, and where; residual and non-zeros there, factors and their sign.
+
+        Arguments:
+            equations, units, newton: of the kinds EQUATIONS, UNITS and NEWTON; units of all unknowns are 1 without.
+            numbers: lengths of the intervals, and constants.
+            weights: by which steps are measured, (size,).
+            row, value: of the closing equation, row . z = value.
+            guess: where it starts.
+        """
+        z, memory, found, room = guess.copy(), memory_of(self._room), np.empty(2), np.empty(6 * self._size)
+        residual, nonzeros = np.empty(self._size - 1), np.empty(self._nonzeros)
+        data = equations, self.layout, units, newton, numbers, weights, row, value, memory, z, residual, nonzeros
+        end = self._kernels["collocation_corrected"](*data, found, room)
+        steps, sign = found.tolist()
+        return ENDS[end], int(steps), z, (residual, nonzeros), (memory, sign)
 
     def solve(self, memory: Array, x: Array) -> None:
         """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""

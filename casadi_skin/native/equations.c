@@ -356,6 +356,159 @@ KERNEL(collocation_improved)(const equations *e, const checks *c, const void *la
     return 0;
 }
 
+/* Units ------------------------------------------------------------------------------------------------------------ */
+
+/* What unknowns are measured by, see zero/stated_problem.py: each of the n states by its largest value in all `columns`
+   and no less than its floor, of those without a floor by `least` of the largest; the m scalars but the last by their
+   values and no less than a floor. Sizes of residuals are floors over `part`. */
+typedef struct {
+    int64_t n, columns, m;
+    const double *floors, *scalar_floors; /* (n), (m - 1) */
+    double least, part;
+} units;
+
+static double sizes_of(const units *u, const double *z, double *restrict sizes)
+{
+    double most = 0.0;
+    memset(sizes, 0, (size_t)u->n * sizeof(double));
+    for (int64_t i = 0; i < u->columns; i++, z += u->n)
+        for (int64_t a = 0; a < u->n; a++) {
+            const double x = fabs(z[a]);
+            sizes[a] = x > sizes[a] || x != x ? x : sizes[a]; /* what is no number stays */
+        }
+    for (int64_t a = 0; a < u->n; a++) {
+        sizes[a] = u->floors[a] > sizes[a] ? u->floors[a] : sizes[a];
+        most = sizes[a] > most || sizes[a] != sizes[a] ? sizes[a] : most;
+    }
+    for (int64_t a = 0; a < u->n; a++)
+        if (!(u->floors[a] > 0.0 || sizes[a] > u->least * most))
+            sizes[a] = u->least * most;
+    return most;
+}
+
+static double scalar_size(const units *u, const double *z, int64_t i)
+{
+    const double x = fabs(z[u->columns * u->n + i]), floor = u->scalar_floors[i];
+    return floor > x ? floor : x;
+}
+
+/* Sizes of the states, (n). */
+KERNEL(collocation_sizes)(const units *u, const double *z, double *sizes)
+{
+    sizes_of(u, z, sizes);
+    return 0;
+}
+
+/* The diagonal of the metric, (size), for a scale of the last scalar; `sizes` are those of the states. */
+KERNEL(collocation_metric)(const units *u, const double *z, double scale, double *sizes, double *weights)
+{
+    sizes_of(u, z, sizes);
+    for (int64_t a = 0; a < u->n; a++)
+        sizes[a] = 1.0 / (sizes[a] * sizes[a]) / (double)u->columns;
+    for (int64_t i = 0; i < u->columns; i++, weights += u->n)
+        memcpy(weights, sizes, (size_t)u->n * sizeof(double));
+    for (int64_t i = 0; i < u->m - 1; i++) {
+        const double size = scalar_size(u, z, i);
+        *weights++ = 1.0 / (size * size);
+    }
+    *weights = 1.0 / (scale * scale);
+    return 0;
+}
+
+/* The largest speed of the states along the mesh over the mean one, `gaps` between the columns; `sizes` is room. */
+KERNEL(collocation_speed)(const units *u, const double *z, const double *gaps, double *sizes, double *speed)
+{
+    double whole = 0.0, most = 0.0;
+    sizes_of(u, z, sizes);
+    for (int64_t i = 0; i < u->columns - 1; i++, z += u->n) {
+        double way = 0.0;
+        for (int64_t a = 0; a < u->n; a++) {
+            const double move = (z[u->n + a] - z[a]) / sizes[a];
+            way += move * move;
+        }
+        way = sqrt(way), whole += way;
+        most = way / gaps[i] > most ? way / gaps[i] : most;
+    }
+    *speed = most / whole;
+    return 0;
+}
+
+/* Newton's method ---------------------------------------------------------------------------------------------------*/
+
+/* Its limits, named as in solve/newton.py, which takes the same steps by numpy. */
+typedef struct {
+    int64_t steps;
+    double tolerance, shrink, negligible, chord, fast, safety, slow;
+} newton;
+
+enum { CONVERGED, DIVERGED, SLOW, SINGULAR };
+
+/* Sizes of all unknowns, (size); returns the least of residuals of conditions. */
+static double all_sizes(const units *u, const double *z, double *sizes)
+{
+    const double most = sizes_of(u, z, sizes);
+    double least = 1.0, *scalars = sizes + u->n * u->columns;
+    for (int64_t a = 0; a < u->n; a++) {
+        if (u->floors[a] == 0.0)
+            sizes[a] = most;
+        else if (u->floors[a] / u->part < least)
+            least = u->floors[a] / u->part;
+    }
+    for (int64_t i = 1; i < u->columns; i++)
+        memcpy(sizes + i * u->n, sizes, (size_t)u->n * sizeof(double));
+    for (int64_t i = 0; i < u->m - 1; i++)
+        scalars[i] = scalar_size(u, z, i);
+    scalars[u->m - 1] = 1.0;
+    return least;
+}
+
+/* Newton's method from z, with row . z = value, in steps whose length the `weights` give. Units are those of unknowns,
+   1 where `u` is 0. Returns how it ends: z is then where it came to, and there are the residual and the non-zeros; the
+   factors in `memory` are of a matrix at z or nearby; in `found` are the number of steps and the sign of the
+   determinant. `room` has 6 size numbers. */
+KERNEL(collocation_corrected)(const equations *e, const void *layout, const units *u, const newton *by,
+                              const double *numbers, const double *weights, const double *row, double value,
+                              double *memory, double *z, double *residual, double *nonzeros, double *found, double *room)
+{
+    const int64_t count = e->n * e->K * e->R + e->conditions + e->integrals, size = count + 1;
+    double *step = room, *sizes = room + size, *x = room + 2 * size, least = 1.0, last = INFINITY;
+    int factored = 0, reuse = 0;
+    for (int64_t i = 1; i <= by->steps; i++) {
+        found[0] = (double)i;
+        NAMED(collocation_equations)(e, z, numbers, residual, nonzeros);
+        if (!factored || !reuse) {
+            least = u ? all_sizes(u, z, sizes) : 1.0;
+            if (NAMED(collocation_factors)(layout, nonzeros, row, u ? sizes : 0, least, memory, found + 1, x, x + 3 * size))
+                return SINGULAR;
+            factored = 1;
+        }
+        memcpy(step, residual, (size_t)count * sizeof(double));
+        step[count] = product(row, z, size, 1) - value;
+        NAMED(collocation_solve)(layout, memory, 1, step);
+        const double length = length_of(weights, step, size);
+        if (reuse && !(length <= by->slow * last)) {
+            reuse = 0;
+            continue;
+        }
+        if (length <= by->negligible * by->tolerance) /* the equations at z are known */
+            return CONVERGED;
+        for (int64_t k = 0; k < size; k++)
+            z[k] -= step[k];
+        if (!(length < INFINITY) || length > (10.0 * last > 1.0 ? 10.0 * last : 1.0) || length > by->shrink * last)
+            return DIVERGED;
+        const double before = last < 1.0 ? last : 1.0;
+        const int quadratic = !reuse && length < by->chord && length * length / before < 0.1 * by->tolerance;
+        const int linear = reuse && by->safety * length * length / last < 0.1 * by->tolerance;
+        if (length <= by->tolerance || quadratic || linear) {
+            NAMED(collocation_equations)(e, z, numbers, residual, nonzeros);
+            return CONVERGED;
+        }
+        reuse = length <= by->chord || length <= by->fast * before;
+        last = length;
+    }
+    return SLOW;
+}
+
 /* Intervals with the polynomials on them: through all R + 1 values of one, at `support`, by barycentric weights, and of
    degree d through the first d + 1, with their weights in the coefficient of degree d. */
 typedef struct {

@@ -50,6 +50,8 @@ typedef struct {
 /* Solutions of `count` systems in the place of their right-hand sides, (count, size), by factors in `memory`. */
 int NAMED(bordered_solve)(const void *layout, double *memory, int64_t count, double *x);
 int NAMED(collocation_solve)(const void *layout, double *memory, int64_t count, double *x);
+int NAMED(collocation_factors)(const void *layout, const double *nonzeros, const double *row, const double *sizes,
+                               double least, double *memory, double *sign, double *x, double *room);
 
 /* Operations on lists of numbers; those up to `fixed` do not depend on the state, which `values` begin with. */
 typedef struct {

@@ -15,7 +15,15 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left, fitted
 from casadi_skin.points.lost_symmetry import lost_operations
 from casadi_skin.zero.linearised import critical_pair
-from casadi_skin.zero.orbit import FIRST_INTERVALS, OrbitRequest, Periodic, Sizes, boundary_method, statement_of
+from casadi_skin.zero.orbit import (
+    FIRST_INTERVALS,
+    OrbitRequest,
+    Periodic,
+    Reference,
+    Sizes,
+    boundary_method,
+    statement_of,
+)
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
@@ -127,10 +135,9 @@ def born_at(
     amplitude = float(np.min(size / np.maximum(np.abs(q), 1e-300)))
     period = 2.0 * np.pi / omega
 
-    def guess(t: float) -> Array:
-        return np.asarray(x + amplitude * (q * np.exp(1j * omega * t)).real)
-
-    statement = statement_of(OrbitRequest(model, period, 1, values, np.zeros(model.full_size), guess))
+    still = np.zeros(model.full_size)
+    born = Reference(amplitude * q[None], x, still)
+    statement = statement_of(OrbitRequest(model, period, 1, values, still, born))
     sizes = Sizes(1e-2 * size, np.array([1e-3 * period]))
     method, periodic = boundary_method({"corrector": "newton"}), Periodic(model, model, SymmetryClass.FULL)
     space = BoundarySpace(

@@ -348,6 +348,26 @@ class BorderedSolver:
         found = kernel.factors(nonzeros, row, *((None, 1.0) if z is None else self.problem.sizes_at(z)))
         return None if found is None else CompiledFactors(kernel, *found)
 
+    def corrected(
+        self, problem: Problem, newton: Structure, held: tuple[Array, Array, float], weights: Array
+    ) -> tuple[str, int, Array, CompiledFactors] | None:
+        """How Newton's method ends by the kernel, in how many steps, where, and factors of a matrix there or nearby.
+
+        None where there is no kernel for the equations, and where it does not factorise a matrix. `held` are a guess
+        and a row with the value of row . z, `weights` measure steps. What is known of the equations there is kept.
+        """
+        kernel = self._collocation
+        if kernel is None or not isinstance(problem, CollocationEquations) or not problem.discretisation.in_operations:
+            return None
+        (guess, row, value), equations = held, problem.discretisation
+        data = equations.compiled, problem.compiled_units, newton, problem.numbers, weights, row, value, guess
+        status, steps, z, found, factors = kernel.corrected(*data)
+        solve = CompiledFactors(kernel, *factors)
+        if status == "SINGULAR":
+            return None
+        equations.keep(z, problem.numbers, found)
+        return status, steps, z, solve
+
     def unchecked(self, nonzeros: Array, row: Array) -> Solve:
         """As `factor` of a matrix that may be nearly singular."""
         from scipy.sparse.linalg import splu

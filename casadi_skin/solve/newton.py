@@ -19,6 +19,8 @@ from typing import Self
 
 import numpy as np
 
+from casadi_skin.native import Structure
+from casadi_skin.native.collocation import NEWTON
 from casadi_skin.solve.bordered import LONG_ROW_FACTOR, BorderedSolver, long_rows
 from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.orbit import UNFOLDING, Extended
@@ -95,6 +97,9 @@ FAST_STEP_RATIO = 0.05
 # Times the error that the last two steps with old factors foresee: places on branches want more digits.
 CHORD_SAFETY = 100.0
 SLOW_STEP_RATIO = 0.1  # of the step before: a longer one with old factors needs new ones
+MOST_AT_ONCE = (
+    5_000  # unknowns whose correction takes a few milliseconds: the time limit is not looked at between steps
+)
 LEAST_DECREASE = 1e-5  # of the sum of residuals, relative, in each step that Ipopt's line search takes
 NEGLIGIBLE_STEP = 1e-3  # of the tolerance: such a step need not be taken
 STEP_HALVINGS = 6  # of a step
@@ -122,7 +127,27 @@ class NewtonCorrector(Corrector):
     def correct(self, guess: Array, row: Array, value: float) -> Correction:
         if self.problem.frequency(guess) <= 0:
             return Correction(guess, Status.DIVERGED, 0, "the guess has no positive frequency")
-        z, weights = guess.copy(), self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
+        weights = self.problem.metric(guess, max(1.0, abs(guess[self.problem.parameter_index])))
+        return self._in_one_call(guess, row, value, weights) or self._in_steps(guess, row, value, weights)
+
+    def _in_one_call(self, guess: Array, row: Array, value: float, weights: Array) -> Correction | None:
+        """The correction by a kernel; None where there is none, and where it does not factorise a matrix."""
+        if self._decreasing or not self.problem.keeps_factors or self.problem.size > MOST_AT_ONCE:
+            return None
+        check_time_limit(f"step 1 of Newton's method, {self.problem.size} unknowns")
+        limits = NEGLIGIBLE_STEP, CHORD_STEP, FAST_STEP_RATIO, CHORD_SAFETY, SLOW_STEP_RATIO
+        newton = Structure(NEWTON, self.max_iterations, self.tolerance, self._shrink, *limits)
+        found = self._solver.corrected(self.problem, newton, (guess, row, value), weights)
+        if found is None:
+            return None
+        status, steps, z, solve = found
+        if status == Status.CONVERGED.name:
+            return Correction(z, Status.CONVERGED, steps, solve=solve if self.problem.measured_by_defect else None)
+        z = guess if status == Status.DIVERGED.name else z
+        return Correction(z, Status[status], steps, self.problem.describe_largest_residual(z))
+
+    def _in_steps(self, guess: Array, row: Array, value: float, weights: Array) -> Correction:
+        z = guess.copy()
         last, reuse, solve, right = np.inf, False, None, np.empty(guess.size)
         for iteration in range(1, self.max_iterations + 1):
             check_time_limit(f"step {iteration} of Newton's method, {self.problem.size} unknowns")

@@ -119,6 +119,8 @@ class CollocationEquations(Problem):
         data = self.discretisation.compiled, *compiled, nonzeros, weights, *limits
         return t, not kernels()["collocation_null_vector"](*data, t, np.empty(self.size))
 
+    compiled_units: Structure | None = None  # of the unknowns, as kernels take them; all are 1 without
+
     @cached_property
     def numbers(self) -> Array:
         return np.concatenate([self.constants, self.values]) if self.values.size else self.constants
@@ -268,9 +270,9 @@ class CollocationEquations(Problem):
 
     # The mesh -------------------------------------------------------------------------------------------------------
 
-    def _component_sizes(self, values: Array) -> Array:
-        """Scales of the changes of each component of the states, shape (columns, components)."""
-        return np.full(values.shape[1], float(np.max(np.abs(values))))
+    def _component_sizes(self, z: Array) -> Array:
+        """Scales of the changes of each component of the states, shape (components,)."""
+        return np.full(self.formulation.states, float(np.max(np.abs(z[: self.states]))))
 
     def _density(self, z: Array) -> Array:
         """Wanted density of intervals for the solution z, see `mesh.density`; the last one is kept."""
@@ -282,7 +284,7 @@ class CollocationEquations(Problem):
     def _wanted(self, z: Array) -> Array:
         K, d, rows = self.resolution, self.degree, self.table.ends.size
         values = z[: self.states].reshape(self.columns, self.formulation.states)
-        sizes, weights = self._component_sizes(values), _leading(self.table)
+        sizes, weights = self._component_sizes(z), _leading(self.table)
         noise = MESH_NOISE * float(np.abs(weights).sum())
         if kernels():
             wanted, limits = np.empty(K), (mesh.DENSITY_FLOOR, mesh.NEIGHBOUR_LENGTH_RATIO)

@@ -266,6 +266,12 @@ class Discretisation:
         return Compiled(EQUATIONS, *numbers, *sizes, *data)
 
     @cached_property
+    def in_operations(self) -> bool:
+        """Whether kernels evaluate all functions: each is one of operations."""
+        functions = (self._field, self._conditions, self._integrands)
+        return all(each is None or each.places is not None for each in functions)
+
+    @cached_property
     def checks(self) -> Compiled | None:
         """The check points of the defect as kernels take them; None where a function is none of operations."""
         compiled = all(each is None or each.places is not None for each in (self._field, self._integrands))
@@ -281,13 +287,15 @@ class Discretisation:
         `numbers` are the lengths of the intervals, then the constants of the formulation. The last results are kept: a
         solution is measured where it was solved.
         """
-        at = z.tobytes() + numbers.tobytes()
-        if at != self._at:
-            found = self._assembled(z, numbers)
-            for array in found:
-                array.flags.writeable = False
-            self._at, self._last = at, found
+        if z.tobytes() + numbers.tobytes() != self._at:
+            self.keep(z, numbers, self._assembled(z, numbers))
         return self._last
+
+    def keep(self, z: Array, numbers: Array, found: tuple[Array, Array]) -> None:
+        """Keep residual and non-zeros, which nobody writes to from now on."""
+        for array in found:
+            array.flags.writeable = False
+        self._at, self._last = z.tobytes() + numbers.tobytes(), found
 
     @property
     def intervals(self) -> int:

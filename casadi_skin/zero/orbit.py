@@ -294,6 +294,11 @@ class Reference:
         """The reference at a turn, without its rotation."""
         return self._waves(turn, self.coefficients) + ca.DM(self.mean)
 
+    def along(self, turn: Array) -> Array:
+        """Numbers of it at turns, with its rotation, shape (turns, states)."""
+        waves = np.exp(2j * np.pi * np.outer(turn, np.arange(1, len(self.coefficients) + 1))) @ self.coefficients
+        return np.asarray(self.mean + waves.real + np.outer(turn, self.rotation))
+
     def slope(self, turn: Expression) -> Expression:
         """Its derivative by the angle 2 pi turn, of the rotation too."""
         return self._waves(turn, self._slopes) + ca.DM(self.rotation / TWO_PI)
@@ -318,7 +323,7 @@ class OrbitRequest:
     cycles: int
     values: Mapping[str, float]
     rotations: Array
-    guess: Guess
+    guess: Guess | Reference
     symmetry: SymmetryClass = SymmetryClass.FULL
     select: Expression | None = None
     section: Expression | None = None
@@ -411,6 +416,9 @@ class OrbitRequest:
     def sampled(self) -> tuple[Array, Array]:
         """Times over the guessed period and states of the guess there; raises ValueError for other guesses."""
         model, span = self.model, (0.0, self.length)
+        if isinstance(self.guess, Reference):
+            times = np.linspace(*span, GUESS_SAMPLES + 1)
+            return times, self.guess.along(times / self.length)
         statement = Statement(model, [model.start(model.state)], interval=span, parameters=self.values_of(model))
         times = known_times(statement, self.guess, GUESS_SAMPLES + 1)
         states = sampled(statement, self.guess, times)
@@ -425,6 +433,8 @@ class OrbitRequest:
     @cached_property
     def reference(self) -> Reference:
         """The guess as a reference of phases; raises ValueError for one that does not move."""
+        if isinstance(self.guess, Reference):
+            return self.guess
         times, values = self.sampled
         turn, rotation = times / self.length, TWO_PI * self.rotations
         values = values - turn[:, None] * rotation

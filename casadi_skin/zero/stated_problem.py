@@ -5,9 +5,9 @@ Solutions close where x(end) = S x(start), but for a constant: S is 1 where they
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import casadi as ca
@@ -16,6 +16,8 @@ import numpy as np
 from casadi_skin.model.arguments import cut
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.result import NoQuantityError
+from casadi_skin.native import Structure, kernels
+from casadi_skin.native.collocation import UNITS
 from casadi_skin.zero import mesh
 from casadi_skin.zero.balanced import Faint
 from casadi_skin.zero.butcher import CollocationTable
@@ -25,7 +27,6 @@ from casadi_skin.zero.problem import Array, Problem, Scalar, Solve
 from casadi_skin.zero.statement import Statement
 
 LAYER_SPEED_RATIO = 20.0  # of mean speed: Lorenz' cycles and those of an explosive reaction have 15, canards 22 to 160
-KEPT_SIZES = 6  # solutions whose sizes and metrics are kept: two points, their guesses, and others between
 LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 COMPONENT_FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
@@ -33,19 +34,6 @@ ZERO_SOLUTION_SIZE = 1e-12  # solutions smaller than this, found from zeros, are
 NEARBY_FACTORS_RATIO = 0.1  # of a step: the largest part that factors of another Jacobian may have left
 # Of what moves a component, of the largest one where its guess is zero: smaller ones are measured by that.
 SMALLEST_COMPONENT_RATIO = 1e-6
-
-
-def _largest(values: Array) -> Array:
-    """The largest size of each column: over rows of a copy, at a fifth of the time."""
-    return np.asarray(np.maximum.reduce(np.abs(values.T.copy()), axis=1, initial=0.0))
-
-
-Kept = deque[tuple[bytes, Array]]  # by the numbers that they are made of, the latest first
-
-
-def _known(kept: Kept, at: bytes) -> Array | None:
-    """What is kept for these numbers, which are compared one by one: to hash as many takes longer."""
-    return next((found for key, found in kept if key == at), None)
 
 
 class BoundaryProblem(CollocationEquations):
@@ -71,7 +59,6 @@ class BoundaryProblem(CollocationEquations):
     ) -> None:
         self.statement, self.walking, self.end = statement, walking, end
         self.floors, self.scalar_floors = floors, scalar_floors
-        self._sized, self._weighed = Kept(maxlen=KEPT_SIZES), Kept(maxlen=KEPT_SIZES)  # shared by all meshes
         self._discretise(formulation, intervals, table, statement.constants(walking, end))
         self.mesh = mesh.Mesh(mesh.with_edges(self.constants, statement.switching), table.ends)
 
@@ -136,26 +123,32 @@ class BoundaryProblem(CollocationEquations):
         return float(np.max(np.abs(step[free]) / self._scalar_sizes(z), initial=0.0))
 
     def profile_change(self, z: Array, step: Array, between: Array | None = None) -> float:
-        sizes = self._component_sizes(z[: self.states].reshape(self.columns, -1))
+        sizes = self._component_sizes(z)
         return change_of(self.discretisation, step, between, sizes)
 
     def improvement(self, z: Array, solve: Solve) -> tuple[Array, Array] | None:
         """The step to the solution of a method of twice as many stages, and what z misses between its own stages."""
-        sizes = self._component_sizes(z[: self.states].reshape(self.columns, -1))
+        sizes = self._component_sizes(z)
         step, between, (largest, rest) = improved(self.discretisation, z, self.numbers, solve, sizes)
         return (step, between) if rest <= NEARBY_FACTORS_RATIO * largest else None
 
-    def _component_sizes(self, values: Array) -> Array:
-        """Not to be written to: the last ones are kept, as a solution is measured several times."""
-        at = values.tobytes() + self.floors.tobytes()
-        found = _known(self._sized, at)
-        if found is None:
-            found = np.maximum(_largest(values), self.floors)
-            if not self.floors.all():
-                least = SMALLEST_COMPONENT_RATIO * found.max()
-                found = np.where(self.floors > 0.0, found, np.maximum(found, least))
-            self._sized.appendleft((at, found))
-        return found
+    @cached_property
+    def compiled_units(self) -> Structure:  # type: ignore[override]
+        """Kept by all meshes of as many intervals, and up to date, as `floors` are written to in their place."""
+        counts = self.formulation.states, self.columns, self.size - self.states
+        scalars = np.array(np.broadcast_to(self.scalar_floors, counts[2] - 1), dtype=float)
+        return Structure(UNITS, *counts, self.floors, scalars, SMALLEST_COMPONENT_RATIO, COMPONENT_FLOOR)
+
+    def _component_sizes(self, z: Array) -> Array:
+        """Sizes of the components of the state, shape (components,)."""
+        if kernels():
+            found = np.empty(self.formulation.states)
+            kernels()["collocation_sizes"](self.compiled_units, np.ascontiguousarray(z), found)
+            return found
+        largest = np.max(np.abs(z[: self.states].reshape(self.columns, -1)), axis=0)
+        found = np.maximum(largest, self.floors)
+        least = SMALLEST_COMPONENT_RATIO * found.max()
+        return np.asarray(np.where(self.floors > 0.0, found, np.maximum(found, least)))
 
     def measure_by(self, z: Array) -> None:
         """Let FLOOR of z be what its components are measured by at least, where it is not zero but for rounding.
@@ -171,8 +164,8 @@ class BoundaryProblem(CollocationEquations):
 
     def sizes(self, z: Array, parameter_scale: float = 1.0) -> Array:
         """Scale of each unknown, shape (size,)."""
-        values, found = z[: self.states].reshape(self.columns, -1), np.empty(self.size)
-        found[: self.states].reshape(values.shape)[:] = self._component_sizes(values)
+        found = np.empty(self.size)
+        found[: self.states].reshape(self.columns, -1)[:] = self._component_sizes(z)
         found[self.states : -1], found[-1] = self._scalar_sizes(z), parameter_scale
         return found
 
@@ -181,23 +174,27 @@ class BoundaryProblem(CollocationEquations):
 
         Tails do not count: components that are faint where a branch starts are measured by what acts on them.
         """
-        at = z.tobytes() + self.floors.tobytes()
-        weights = _known(self._weighed, at)
-        if weights is None:
-            weights, values = np.empty(self.size), z[: self.states].reshape(self.columns, -1)
-            sizes = self._component_sizes(values)
-            if self.faint is not None:
-                sizes = self.faint.measured(sizes)
-            weights[: self.states].reshape(values.shape)[:] = sizes**-2.0 / self.columns
-            weights[self.states : -1] = self._scalar_sizes(z) ** -2.0
-            self._weighed.appendleft((at, weights))
-        weights = weights.copy()
-        weights[-1] = parameter_scale**-2.0
+        weights, faint = np.empty(self.size), self.faint
+        if kernels():
+            sizes = np.empty(self.formulation.states)
+            kernels()["collocation_metric"](
+                self.compiled_units, np.ascontiguousarray(z), parameter_scale, sizes, weights
+            )
+        else:
+            weights[:] = self.sizes(z, parameter_scale) ** -2.0
+            weights[: self.states] /= self.columns
+        if faint is not None:
+            sizes = self._component_sizes(z)
+            weights[: self.states].reshape(self.columns, -1)[:] *= (sizes / faint.measured(sizes)) ** 2
         return weights
 
     def has_layers(self, z: Array) -> bool:
+        if kernels():
+            speed, sizes = np.empty(1), np.empty(self.formulation.states)
+            kernels()["collocation_speed"](self.compiled_units, np.ascontiguousarray(z), self.mesh.gaps, sizes, speed)
+            return bool(speed[0] > LAYER_SPEED_RATIO)
         values = z[: self.states].reshape(self.columns, -1)
-        moves = (values[1:] - values[:-1]) / self._component_sizes(values)
+        moves = (values[1:] - values[:-1]) / self._component_sizes(z)
         ways = np.sqrt(np.einsum("ij,ij->i", moves, moves))
         return bool((ways / self.mesh.gaps).max() > LAYER_SPEED_RATIO * ways.sum())
 

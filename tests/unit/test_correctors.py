@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from kernels import needs_kernels
+from kernels import needs_kernels, numpy_alone
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem, linear_mode
 
@@ -246,6 +246,57 @@ def check_solved(problem: Problem, z: Array, row: Array, nonzeros: Array | None 
     allowed = 1e-13 * np.linalg.cond(matrix) * np.abs(expected).max()
     np.testing.assert_allclose(solve(b), expected, rtol=0, atol=allowed)
     np.testing.assert_allclose(solve(b[:, 1]), expected[:, 1], rtol=0, atol=allowed)
+
+
+def circle(faint: bool) -> tuple[BoundaryProblem, Array]:
+    """Of radius 1 about a point, with a third state of no size where it is `faint`; and the circle a little off."""
+    x, y, w, mu = (ca.SX.sym(name) for name in ("x", "y", "w", "mu"))
+    grows = mu - x**2 - y**2
+    model = OdeModel("circle", [x, y, w], [grows * x - y, x + grows * y, -w + (0 if faint else x * y)], mu)
+
+    def guess(t: float) -> list[float]:
+        return [np.cos(t), np.sin(t), 0.0 if faint else 0.2 * np.sin(2.0 * t)]
+
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters={"mu": 1.0})
+    space = replace(orbit.space, parameter="mu", to=2.0)
+    problem = stated(space.levels.problem(9))
+    mesh = 1.0 + 0.3 * np.cos(np.arange(9.0))
+    problem = problem.with_constants(mesh / mesh.sum())
+    return problem, orbit.problem.prolong(orbit.point.z, problem)
+
+
+@needs_kernels
+@pytest.mark.parametrize("faint", [False, True])
+@pytest.mark.parametrize(("off", "value", "shrink", "status"), [
+    (0.0, 0.0, None, Status.CONVERGED), (1e-9, 1e-4, 0.2, Status.CONVERGED), (1e-4, 0.01, 0.2, Status.CONVERGED),
+    (0.03, 0.3, None, Status.CONVERGED), (1.0, 0.3, 0.2, Status.DIVERGED), (1.0, 0.3, None, Status.TOO_MANY_ITERATIONS),
+])  # fmt: skip
+def test_a_correction_in_one_call_takes_the_steps_of_numpy(
+    faint: bool, off: float, value: float, shrink: float | None, status: Status
+) -> None:
+    """It ends alike, in as many steps, at the same point, also where it diverges; factors are of a matrix there."""
+    problem, z = circle(faint)
+    guess = z + off * np.random.default_rng(3).normal(size=z.size)
+    row, corrector = problem.parameter_row(), NewtonCorrector(problem, 1e-11, 8, shrink)
+    weights = problem.metric(guess, 1.0)
+    compiled = corrector._in_one_call(guess, row, value, weights)
+    with numpy_alone():
+        other, _ = circle(faint)
+        assert NewtonCorrector(other)._in_one_call(guess, row, value, weights) is None
+        np.testing.assert_allclose(other.metric(guess, 1.0), weights, rtol=1e-15)
+        assert other.has_layers(guess) == problem.has_layers(guess)
+        plain = NewtonCorrector(other, 1e-11, 8, shrink)._in_steps(guess, row, value, weights)
+    assert compiled is not None
+    assert compiled.status is plain.status is status
+    assert compiled.iterations == plain.iterations
+    np.testing.assert_allclose(compiled.z, plain.z, rtol=0, atol=1e-12)
+    if compiled.converged:
+        assert compiled.solve is not None
+        residual, nonzeros = problem.evaluate(compiled.z)
+        assert max(np.max(np.abs(residual)), abs(row @ compiled.z - value)) < 1e-11
+        np.testing.assert_allclose(residual, other.evaluate(compiled.z)[0], rtol=0, atol=1e-14)
+        b = np.ones(z.size)
+        np.testing.assert_allclose(dense(problem, nonzeros, row) @ compiled.solve(b), b, rtol=0, atol=0.1)
 
 
 def random_state(problem: OrbitProblem, seed: int) -> tuple[Array, Array]:
