@@ -367,7 +367,7 @@ class BoundarySpace(ParameterSpace):
 
     def span(self, point: Point) -> tuple[float, float]:
         """Start and end of the part that is unknown."""
-        return self.statement.span(self.parameters(point).values())
+        return self.statement.span(point.problem.parameters(point.z))
 
     @of_last_points
     def jump(self, point: Point) -> str:

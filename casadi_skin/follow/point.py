@@ -569,7 +569,7 @@ class PointSolver:
     def joined(self, current: Point, following: Point) -> Joined:
         """One point as it is joined to the next, computed once for each of the last few stretches."""
         for first, last, found in self._joined:
-            if first is current and last is following:
+            if first.is_at(current) and last.is_at(following):
                 return found
         joined = self._moving(current, following) or self._held(current, following)
         self._joined.append((current, following, joined))

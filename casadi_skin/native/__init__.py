@@ -63,7 +63,7 @@ FUNCTIONS = {
     "collocation_change": "aaaaaa",
     "collocation_improved": 13 * "a",
     "collocation_sizes": "aaa",
-    "collocation_metric": "aaraa",
+    "collocation_metric": "aara",
     "collocation_speed": "aaaaa",
     "collocation_corrected": "aaaaaaaraaaaaa",
     "collocation_interpolated": "aaiaiiaai",

@@ -399,14 +399,16 @@ KERNEL(collocation_sizes)(const units *u, const double *z, double *sizes)
     return 0;
 }
 
-/* The diagonal of the metric, (size), for a scale of the last scalar; `sizes` are those of the states. */
-KERNEL(collocation_metric)(const units *u, const double *z, double scale, double *sizes, double *weights)
+/* The diagonal of the metric, (size), for a scale of the last scalar. */
+KERNEL(collocation_metric)(const units *u, const double *z, double scale, double *weights)
 {
-    sizes_of(u, z, sizes);
+    double *first = weights;
+    sizes_of(u, z, first);
     for (int64_t a = 0; a < u->n; a++)
-        sizes[a] = 1.0 / (sizes[a] * sizes[a]) / (double)u->columns;
-    for (int64_t i = 0; i < u->columns; i++, weights += u->n)
-        memcpy(weights, sizes, (size_t)u->n * sizeof(double));
+        first[a] = 1.0 / (first[a] * first[a]) / (double)u->columns;
+    for (int64_t i = 1; i < u->columns; i++)
+        memcpy(first + i * u->n, first, (size_t)u->n * sizeof(double));
+    weights += u->columns * u->n;
     for (int64_t i = 0; i < u->m - 1; i++) {
         const double size = scalar_size(u, z, i);
         *weights++ = 1.0 / (size * size);

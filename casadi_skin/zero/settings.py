@@ -170,6 +170,10 @@ class Point:
         """Whether the solution has parts in which it goes far faster than elsewhere."""
         return bool(self.problem.has_layers(self.z))
 
+    def is_at(self, other: Point) -> bool:
+        """Whether both are one point of the branch, whatever else is known of them."""
+        return self.z is other.z and self.tangent is other.tangent
+
     @property
     def moves(self) -> bool:
         """Whether the mesh may move with the layers along the branch, and there are some."""

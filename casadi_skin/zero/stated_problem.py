@@ -63,6 +63,7 @@ class BoundaryProblem(CollocationEquations):
         self.mesh = mesh.Mesh(mesh.with_edges(self.constants, statement.switching), table.ends)
 
     def with_constants(self, constants: Array) -> Self:
+        _ = self.compiled_units  # which the copy has too
         return super().with_constants(mesh.with_edges(constants, self.statement.switching))
 
     def index_of(self, scalar: Scalar) -> int:
@@ -176,10 +177,7 @@ class BoundaryProblem(CollocationEquations):
         """
         weights, faint = np.empty(self.size), self.faint
         if kernels():
-            sizes = np.empty(self.formulation.states)
-            kernels()["collocation_metric"](
-                self.compiled_units, np.ascontiguousarray(z), parameter_scale, sizes, weights
-            )
+            kernels()["collocation_metric"](self.compiled_units, np.ascontiguousarray(z), parameter_scale, weights)
         else:
             weights[:] = self.sizes(z, parameter_scale) ** -2.0
             weights[: self.states] /= self.columns

@@ -172,12 +172,10 @@ class Statement(WithVerbs):
 
     def ends_at(self, parameters: Any) -> tuple[Any, Any]:
         """Start and end of the interval at parameters, numbers or expressions."""
-
-        found = (
+        start, end = (
             end if isinstance(end, float) else parameters[end] if isinstance(end, int) else end(parameters)
             for end in self._ends
         )
-        start, end = (end if isinstance(end, ca.SX | ca.MX) else float(end) for end in found)
         return start, end
 
     @cached_property
@@ -200,14 +198,20 @@ class Statement(WithVerbs):
 
     def span(self, parameters: Iterable[float] | None = None) -> tuple[float, float]:
         """Start and end of the interval at values of all parameters, in the model's order; at its own by default."""
-        start, end = self.ends_at(np.array(list(self.values.values() if parameters is None else parameters)))
+        if not isinstance(parameters, np.ndarray):
+            parameters = self._numbers if parameters is None else np.array(list(parameters))
+        start, end = self.ends_at(parameters)
         return float(start), float(end)
 
     @cached_property
     def switching(self) -> Array:
         """Fractions of the interval at which the equations switch by time alone: edges of every mesh."""
-        p = np.array(list(self.values.values()))
-        return self.model.jumps.times(*self.span(p), p)
+        return self.model.jumps.times(*self.span(), self._numbers)
+
+    @cached_property
+    def _numbers(self) -> Array:
+        """Values of all parameters, in the order of the model."""
+        return np.array(list(self.values.values()))
 
     @cached_property
     def _formulations(self) -> dict[str | None, Formulation]:
@@ -224,8 +228,8 @@ class Statement(WithVerbs):
 
     def constants(self, walking: str | None = None, end: float = 1.0) -> Array:
         """Values of the formulation's constants: of all parameters; then the way of the one that walks to `end`."""
-        values = list(self.values.values())
-        return np.array(values if walking is None else [*values, end - self.values[walking]])
+        values = self._numbers
+        return values if walking is None else np.append(values, end - self.values[walking])
 
     def _formulated(self, walking: str | None) -> Formulation:
         """By calls of functions, as in programs nothing can be replaced."""
@@ -247,7 +251,15 @@ class Statement(WithVerbs):
 
     def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
         """All parameters, in the model's order, from the scalars among the unknowns."""
-        return self._along(scalars, self.constants(walking, end), walking)
+        if not isinstance(scalars, np.ndarray):
+            return self._along(scalars, self.constants(walking, end), walking)
+        names, found = self.model.parameter_names, self._numbers.copy()
+        if walking is not None:
+            k = names.index(walking)
+            found[k] += scalars[len(self.free)] * (end - found[k])
+        for name, value in zip(self.free, scalars, strict=False):
+            found[names.index(name)] = value
+        return found
 
     def _along(self, scalars: Any, constants: Any, walking: str | None) -> Any:
         """The same, from the constants of the formulation too."""
@@ -268,7 +280,7 @@ class Statement(WithVerbs):
         """The same problem at other values of parameters; functions built for one serve all."""
         _ = self._formulations  # shared by the copy
         other = copy.copy(self)
-        for name in ("values", "switching"):
+        for name in ("values", "switching", "_numbers"):
             other.__dict__.pop(name, None)
         object.__setattr__(other, "parameters", by_name("parameters", {**self.parameters, **values}))
         other._check_values()
