@@ -31,7 +31,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -48,30 +48,31 @@ Pattern = tuple[NDArray[np.int32], NDArray[np.int32]]  # indptr and indices of t
 Levels = Sequence[tuple[Indices, Indices, Array]]  # nodes known, nodes wanted, weights of these in those
 
 LIBRARY = Path(__file__).with_name("kernels.library")
-# By the kinds of arguments or of fields: i an integer, r a real number, a an array or a structure.
+# By the kinds of arguments or of fields: i an integer, r a real number, a an array or a structure, w one that is there
+# and may be written to.
 FUNCTIONS = {
     "bordered_solve": "aaia",
     "bordered_steps": "aiaaaiaaaa",
-    "collocation_factors": "aaaaraaaa",
-    "collocation_solve": "aaia",
-    "collocation_equations": "aaaaa",
-    "collocation_jacobians": "aaaiaaa",
+    "collocation_factors": "waaarwwww",
+    "collocation_solve": "wwiw",
+    "collocation_equations": "waaww",
+    "collocation_jacobians": "waaiaaw",
     "largest_terms": "iaaaaa",
     "collocation_times": "aaaa",
-    "collocation_null_vector": "aaaaarraa",
-    "collocation_missed": "aaaaaa",
-    "collocation_change": "aaaaaa",
-    "collocation_improved": 13 * "a",
-    "collocation_sizes": "aaa",
-    "collocation_metric": "aara",
-    "collocation_speed": "aaaaa",
-    "collocation_corrected": "aaaaaaaraaaaaa",
-    "collocation_interpolated": "aaiaiiaai",
-    "collocation_density": "aaaaarrraa",
+    "collocation_null_vector": "wwwaarrww",
+    "collocation_missed": "wwaaww",
+    "collocation_change": "wwaaww",
+    "collocation_improved": "wwwwaaaawwwww",
+    "collocation_sizes": "waw",
+    "collocation_metric": "warw",
+    "collocation_speed": "waaww",
+    "collocation_corrected": "wwawawarwwwwww",
+    "collocation_interpolated": "waiaiiawi",
+    "collocation_density": "waaaarrrww",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",
-    "at_places": "a",
+    "at_places": "w",
     "rests_along": "aiiraaaaa",
     "keep_sides": "aiara",
     "invariant": "iiiiiaaaiaaairaa",
@@ -119,24 +120,25 @@ def address(array: Any) -> int:
     return int(interface["data"][0])
 
 
-_NO_BYTES = ctypes.c_char * 0
+class _Writable:
+    """An argument that is an array that may be written to, or a structure."""
+
+    from_param = (ctypes.c_char * 0).from_buffer  # where its numbers begin, and no function of Python between
 
 
 class _Address:
-    """An argument that is an array or a structure, or None where a kernel does without."""
+    """An argument that is any array or a structure, or None where a kernel does without."""
 
     @staticmethod
     def from_param(array: Any) -> Any:
-        """What ctypes passes as an address: where the numbers of an array begin, in a fifth of `address`'s time."""
-        if type(array) is Structure:
-            return array.pointer
+        """What ctypes passes as an address, in a fifth of `address`'s time where it may be written to."""
         try:
-            return _NO_BYTES.from_buffer(array)
+            return _Writable.from_param(array)
         except TypeError:  # not to be written to, or None
             return ctypes.c_void_p(None if array is None else address(array))
 
 
-TYPES: Mapping[str, Any] = {"i": ctypes.c_int64, "r": ctypes.c_double, "a": _Address}
+TYPES: Mapping[str, Any] = {"i": ctypes.c_int64, "r": ctypes.c_double, "a": _Address, "w": _Writable}
 
 
 @cache
@@ -189,24 +191,21 @@ def _call(name: str, *arguments: Any) -> None:
         raise MemoryError(f"the compiled kernel `{name}`")
 
 
-class Structure:
-    """Integers, real numbers and addresses of arrays of one of the kinds above, which lives as long as its arrays do.
+class Structure(np.ndarray[Any, Any]):
+    """Integers, real numbers and addresses of arrays, of one of the kinds above, which keeps these arrays alive."""
 
-    Arguments:
-        kinds: of the fields.
-        fields: numbers, and contiguous arrays, None where a kernel does without.
-    """
+    _fields: tuple[Any, ...]
 
-    def __init__(self, kinds: str, *fields: Any) -> None:
-        self._fields = fields
+    def __new__(cls, kinds: str, *fields: Any) -> Self:
+        """The structure of fields of these kinds: numbers, and contiguous arrays, None where a kernel does without."""
         words = [
             field or 0 if kind != "a" or field is None else address(field)
             for kind, field in zip(kinds, fields, strict=True)
         ]
         packed = struct.pack("=" + kinds.replace("i", "q").replace("a", "Q").replace("r", "d"), *words)
-        self._words = np.frombuffer(packed, dtype=np.int64)
-        self.__array_interface__ = self._words.__array_interface__
-        self.pointer = ctypes.c_void_p(address(self))
+        found = np.frombuffer(bytearray(packed), dtype=np.int64).view(cls)
+        found._fields = fields
+        return found
 
 
 def _terms(groups: Sequence[Monomials]) -> tuple[Any, ...]:
