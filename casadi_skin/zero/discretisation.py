@@ -69,12 +69,6 @@ class Formulation:
         return self._along("field", self.field, sparse=True)
 
     @cached_property
-    def jacobian_function(self) -> ca.Function:
-        """Function (s, x, sigma, constants) -> dense dF/dx."""
-        by_x = self.field_function.call(self._arguments, True, False)[1]
-        return ca.Function("jacobian", self._arguments, [_dense(by_x)])
-
-    @cached_property
     def component_order(self) -> NDArray[np.int64]:
         """An order of the components of x in which factors of 1 - dF/dx are sparse, by approximate minimum degree."""
         pattern = self.field_function.sparsity_out(1)
