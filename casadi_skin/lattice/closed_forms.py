@@ -1,4 +1,4 @@
-"""Weakly nonlinear skin breathing modes by multiple scales (paper: Eqs. for y_n(t), Omega_j and the sensitivity)."""
+"""The linear chain, its frequency to first order in S (paper, multiple scales), and one site, in closed form."""
 
 from __future__ import annotations
 
@@ -71,31 +71,6 @@ def frequency(sites: int, alpha: float, gamma: float, g: float, mode: int, S: Ar
     """Nonlinear frequency Omega_j(S) to first order in S = ||y||^2; shape of `S`."""
     omega = np.sqrt(squared_frequency(sites, alpha, gamma, mode))
     return np.asarray(omega + frequency_slope(sites, alpha, gamma, g, mode) * np.asarray(S, dtype=float))
-
-
-def displacement(sites: int, alpha: float, gamma: float, g: float, mode: int, S: float, t: ArrayLike) -> Array:
-    """Displacements y_n(t) = sqrt(S) u_n/||u|| cos(Omega t), shape (time, sites), physical coordinates."""
-    u = right_eigenvector(sites, gamma, mode)
-    omega = frequency(sites, alpha, gamma, g, mode, S)
-    return np.asarray(np.sqrt(S) * np.outer(np.cos(omega * np.atleast_1d(t)), u / np.linalg.norm(u)))
-
-
-def sensitivity(sites: int, alpha: float, gamma: float, g: float, mode: int) -> float:
-    """Sensitivity factor |d((Omega - omega_j)/omega_j)/dS| (paper, equation for the sensitivity)."""
-    omega = np.sqrt(squared_frequency(sites, alpha, gamma, mode))
-    return abs(frequency_slope(sites, alpha, gamma, g, mode)) / float(omega)
-
-
-def sensitivity_limit(alpha: float, gamma: float, g: float, mode: int) -> float:
-    """Limit of (N+1)^3 times the sensitivity factor of a fixed mode as N grows, 0 < |gamma| < 1.
-
-    Near the edge the sines become m j pi/(N+1), and the sums of m^4 r^-m and m^2 r^-m are polylogarithms, of orders -4
-    and -2. Raises ValueError for another gamma.
-    """
-    if not 0.0 < abs(gamma) < 1.0:
-        raise ValueError(f"gamma: given {gamma!r}; accepted: 0 < |gamma| < 1")
-    lowest = alpha + 2.0 * gamma**2 / (1.0 + gauge_coupling(gamma))
-    return float(0.75 * abs(g) * (np.pi * mode / gamma) ** 2 * (3.0 - 2.0 * gamma**2) / lowest)
 
 
 # The chain of one site: y'' + omega^2 y + g y^3 = 0, solved by Jacobi elliptic functions (DLMF 22.2, 19.2) ------------

@@ -5,10 +5,8 @@ from __future__ import annotations
 import pytest
 from claim import Claim, Verdict, rounds_to
 from claims_families import LARGE, decay_rate, power_of_r
-from paper_data import PaperData
+from paper_data import PaperData, sensitivity
 from reproduce import all_claims
-
-from casadi_skin.lattice import closed_forms as multiple_scales
 
 
 @pytest.mark.parametrize(
@@ -16,7 +14,7 @@ from casadi_skin.lattice import closed_forms as multiple_scales
 )
 def test_local_decay_rates_and_the_law_in_the_end(gamma: float, slope: float, law: float) -> None:
     assert decay_rate(24, gamma) == pytest.approx(slope, abs=6e-4)  # computed independently
-    limit = (LARGE + 1) ** 3 * multiple_scales.sensitivity(LARGE, 1.0, gamma, 1.0, 1)
+    limit = (LARGE + 1) ** 3 * sensitivity(LARGE, 1.0, gamma, 1.0, 1)
     assert limit == pytest.approx(law, abs=0.06)
 
 

@@ -9,12 +9,11 @@ import paper_data
 import pytest
 from figures_families import sensitivity_figure
 from outputs import read_rows
-from paper_data import PaperData
+from paper_data import PaperData, sensitivity, sensitivity_limit
 from reproduce import FIGURES
 from reproduce import main as reproduce
 
 from casadi_skin import Chain
-from casadi_skin.lattice import closed_forms as multiple_scales
 
 
 def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
@@ -60,18 +59,15 @@ def test_sensitivity_figure_on_a_few_chains(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_the_law_of_the_sensitivity_for_large_chains() -> None:
-    assert 101**3 * multiple_scales.sensitivity(100, 1.0, 0.7, 1.0, 1) == pytest.approx(19.308, abs=1e-3)
+    assert 101**3 * sensitivity(100, 1.0, 0.7, 1.0, 1) == pytest.approx(19.308, abs=1e-3)
     for gamma, mode in ((0.25, 1), (0.7, 1), (-0.7, 2)):
-        limit = multiple_scales.sensitivity_limit(1.0, gamma, -1.0, mode)
-        errors = [
-            abs((N + 1) ** 3 * multiple_scales.sensitivity(N, 1.0, gamma, -1.0, mode) / limit - 1.0)
-            for N in (1000, 2000)
-        ]
+        limit = sensitivity_limit(1.0, gamma, -1.0, mode)
+        errors = [abs((N + 1) ** 3 * sensitivity(N, 1.0, gamma, -1.0, mode) / limit - 1.0) for N in (1000, 2000)]
         assert errors[1] < 1e-3
         assert errors[1] == pytest.approx(errors[0] / 4, rel=0.05)  # the next term is N^-2 smaller
     for gamma in (0.0, 1.0, -1.0):
         with pytest.raises(ValueError, match="gamma"):
-            multiple_scales.sensitivity_limit(1.0, gamma, 1.0, 1)
+            sensitivity_limit(1.0, gamma, 1.0, 1)
 
 
 @pytest.mark.parametrize(
