@@ -88,6 +88,7 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "follow_all": "points.diagram:follow_all",
         "quantity": "results.quantities:along",
         "quantity_of": "results.quantities:sought",
+        "series": "follow.family_series:series",
     },
     "Statement": {"solve": "optimise.boundary_nlp:solve"},
     "OdeModel": {

@@ -394,6 +394,8 @@ class Branch(Result):
 
     certify: ClassVar[Callable[..., Any]]
     """A proof that the family is one curve of orbits: `casadi_skin.certify.stretch.certify_branch`."""
+    series: ClassVar[Callable[..., Any]]
+    """The family as a power series in S, a `FamilySeries`: `casadi_skin.follow.family_series.series`."""
     certify_change: ClassVar[Callable[..., tuple[float, float] | None]]
     """Values of S between which a change of stability is proved: `casadi_skin.certify.stability.certify_change`."""
 

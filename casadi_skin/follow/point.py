@@ -201,21 +201,15 @@ def _powers(tau: float | Array, count: int) -> Array:
 # Corrected points of a branch: near a guess, at a value of the parameter or Omega, between two other points -----------
 
 ROUND_OFF = 1e-7  # an estimate below this that a finer level does not halve
-COARSENING_ERROR_RATIO = (
-    0.25  # of the tolerance: the error expected of a coarser level; less than 1, or it is left again at once
-)
+COARSENING_ERROR_RATIO = 0.25  # of the tolerance: the error expected of a coarser level, which is left again beyond 1
 NEXT_ERROR_RATIO = 0.5  # of the tolerance: the error expected of the next point
 MOST_ERROR_GROWTH = 10.0  # of errors from one point to the next
 ROUNDED_ERROR_FACTOR = 4.0  # times the part by rounding: an error beyond which finer meshes lessen it
 START_ERROR = 1e-4  # of the linear mode where a walk starts
-MOST_FAILED_HALVINGS = (
-    4  # resolutions that may fail to halve, all together, an estimate that is small enough to mean something
-)
+MOST_FAILED_HALVINGS = 4  # resolutions that may fail, all together, to halve an estimate below MEANINGFUL_ERROR
 MEANINGFUL_ERROR = 1e-3
 ASYMPTOTIC_ERROR = 1e-2  # relative error below which the gain of finer levels is foreseen
-TURNED_TANGENT = (
-    1e-2  # that a tangent may differ from the one computed again: a Newton step and a finer level lie between
-)
+TURNED_TANGENT = 1e-2  # that a tangent may differ from the one computed again, a Newton step and a finer level later
 BESIDE_TARGET_REACH = 1e-3  # reach of a correction to a target that the point meets but for round-off
 
 

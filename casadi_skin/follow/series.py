@@ -58,17 +58,11 @@ TURNING_SAMPLES = 9  # of a stretch, at which the turning of the tangent is meas
 AT_BASE = 1e-6  # of the unit of the series: nearer to the base a crossing is the base itself
 SPARSE_TURN_FACTOR = 2.0  # times the turn that a walk aims for which predicts each point from the last
 CONFIRMED_TOGETHER = 20  # points, of one stretch or several, that the corrector confirms at a time
-SHORT_STEP_FACTOR = (
-    3.0  # times the precision of the series: the square of such a step is below the residual of correctors
-)
+SHORT_STEP_FACTOR = 3.0  # times the precision of the series: a step whose square is below what correctors leave
 NEARLY_AT_CORNER = 0.9  # of the way to a corner: a stretch to it, where the point before it is not found
 STRETCH_SHRINKAGE = 0.8  # of a stretch whose end does not satisfy the equations
-FRACTIONS_BESIDE_STOP = (
-    1.0,
-    0.9,
-    0.7,
-    0.5,
-)  # of the way to a stop: where rounding is amplified in one place, it is less beside it
+# Of the way to a stop: where rounding is amplified in one place, it is less beside it.
+FRACTIONS_BESIDE_STOP = (1.0, 0.9, 0.7, 0.5)
 FRACTION_BEYOND_STOP = 1.2  # of the way to the last stop, beyond which the series loses digits fast
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.lattice.chain import Chain, check_no_parameters
-from casadi_skin.lattice.closed_forms import frequency, standing_wave
+from casadi_skin.lattice.closed_forms import standing_wave
 from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import FIXED
 from casadi_skin.lattice.lattice import Core, LongLattice, nonlinear_cells
@@ -137,11 +137,6 @@ class OfChain:
     def frequency(self) -> float:
         return self.chain.linear_frequency(self.mode_number)
 
-    def first_order_frequency(self, S: Array) -> Array | None:
-        if self.chain.infinite:
-            return None
-        return frequency(self.chain.sites, **self.chain.parameters, mode=self.mode_number, S=S)
-
 
 class FullChain(OfChain, Coordinates):
     """Every site is an unknown: the equations are those of a `core`, here the chain, in its gauge, with kappa = g S."""
@@ -216,9 +211,6 @@ class EdgeSite(FullChain):
         logs, signs = np.full(self.chain.sites, -np.inf), np.zeros(self.chain.sites)
         logs[self.edge], signs[self.edge] = 0.0, 1.0
         return logs, signs
-
-    def first_order_frequency(self, S: Array) -> Array:
-        return frequency(1, **self.core.parameters, mode=1, S=S)  # of the one site that moves
 
     @property
     def output_sites(self) -> Indices:

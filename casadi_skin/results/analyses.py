@@ -9,6 +9,7 @@ import numpy as np
 
 from casadi_skin.certify.certificate import Certificate, ProvedStability, ProvedStretch
 from casadi_skin.dynamics.starts import Spreading
+from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.model.arguments import with_error
 from casadi_skin.optimise.kick import SmallestKick
@@ -18,10 +19,11 @@ from casadi_skin.points.gradient import Gradient
 from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
 from casadi_skin.results.figures.evolutions import sizes_of
+from casadi_skin.results.figures.families import draw_series
 from casadi_skin.results.figures.multipliers import draw_moduli
 from casadi_skin.results.figures.search import draw_starts
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
-from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows
+from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows, series_columns
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.zero.kinds import count_in_words
@@ -92,6 +94,19 @@ def _(result: TransientGrowth) -> words.Shown:
 
     meaning = "largest amplification of perturbations against time"
     return words.Shown("Transient growth of perturbations", rows, draw, meaning, lambda: {"t": t, **gains})
+
+
+@words.show.register
+def _(result: FamilySeries) -> words.Shown:
+    rows = [(f"order {k}", with_error(float(v), float(result.Omega_error[k]))) for k, v in enumerate(result.Omega[:4])]
+    rows += [("digits", f"{result.digits[-1]:.1f} of order {result.order}")]
+    rows += [("radius in S", with_error(result.radius, result.radius_error))]
+
+    def draw(axes: Axes) -> None:
+        draw_series(axes, result)
+
+    title = f"Omega of mode {result.mode} in powers of {result.variable}"
+    return words.Shown(title, rows, draw, "power series of a family", lambda: series_columns(result))
 
 
 # Proofs ---------------------------------------------------------------------------------------------------------------

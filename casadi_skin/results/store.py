@@ -46,6 +46,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "follow.boundary_space": "BoundarySpace",
     "follow.branch": "Branch",
     "follow.events": "StabilityChange",
+    "follow.family_series": "FamilySeries",
     "follow.rest_space": "CurveSpace EquilibriumSpace",
     "follow.search": "Monitor",
     "follow.solution": "Equilibrium Optimality Optimum Orbit Solution",

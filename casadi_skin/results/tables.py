@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.optimise.search import SearchProblem, SearchResult
@@ -57,6 +58,37 @@ def evolution_variables(evolution: Evolution) -> list[Variable]:
 def _time_and_energy(evolution: Evolution) -> dict[str, Array]:
     """Both by name; the time alone where the model declares no energy."""
     return {"t": evolution.t} | ({"energy": evolution.energy} if evolution.has_energy else {})
+
+
+# Power series of families: series.csv and series.nc -------------------------------------------------------------------
+
+
+def series_columns(series: FamilySeries) -> dict[str, Array]:
+    """Columns of series.csv: coefficients by the power of the variable, with their errors."""
+    known = {"mode": np.full(series.order + 1, series.mode), "order": np.arange(series.order + 1)}
+    return known | {"Omega": series.Omega, "Omega_error": series.Omega_error, "digits": series.digits}
+
+
+def write_series(found: Sequence[FamilySeries], directory: Path, attributes: Mapping[str, Any]) -> None:
+    """Write series.csv, with the radius of convergence where it is known, and series.nc, with the profiles."""
+    rows = list[dict[str, Cell]]()
+    for s in found:
+        known = s.variable, *((s.radius, s.radius_error) if np.isfinite(s.radius) else ("", ""))
+        ends, columns = dict(zip(("variable", "radius", "radius_error"), known, strict=True)), series_columns(s)
+        rows += [{**{name: v[k].item() for name, v in columns.items()}, **ends} for k in range(s.order + 1)]
+    write_csv(directory / "series.csv", list(rows[0]), rows)
+    along, of = ("order", "harmonic", "position"), f"in powers of {found[0].variable}"
+    stacked = {
+        "mode": ((), "linear mode"), "radius": ((), "radius of convergence in S"),
+        "Omega": (along[:1], f"coefficients of Omega {of}"), "profile": (along, f"of cosines of y_n / sqrt(S) {of}"),
+        "profile_error": (along, "estimated error of profile"),
+    }  # fmt: skip
+    variables = [
+        Variable(name, ("mode", *dimensions), np.array([getattr(s, name) for s in found]), meaning, True)
+        for name, (dimensions, meaning) in stacked.items()
+    ]
+    variables.append(Variable("harmonic", ("harmonic",), found[0].harmonics, "multiples of Omega"))
+    write_netcdf(directory / "series.nc", Dataset(variables, attributes))
 
 
 # Tables of a family's stability: its changes, edges inside unstable stretches, and tongues ----------------------------

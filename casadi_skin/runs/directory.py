@@ -31,7 +31,7 @@ SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN_FILES = (
     "family.csv", "family.nc", "events.csv", "further_events.csv", "tongues.csv", "passed_resonances.csv",
     "spectrum.csv", "bands.csv", "dynamics.csv", "dynamics.nc", "spreading.csv", "energies.csv", "edges.csv",
-    "search.csv", "starts.csv", "search.nc", "gradient.csv",
+    "search.csv", "starts.csv", "search.nc", "series.csv", "series.nc", "gradient.csv",
     "branch.csv", "branch.nc", "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc",
     "curve_*.csv", "curve_*.nc", "map.csv", "map.nc", "boundary.csv", "explore.html", "journal_*_of_*.msgpack",
     f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE_FILE, JOURNAL_FILE,
@@ -43,7 +43,7 @@ HEADER_AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins wi
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
 PICTURE_STEMS = (
     "frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch", "orbit",
-    "curves", "portrait", "map_*", "skin", "spreading", "edges",
+    "curves", "portrait", "map_*", "skin", "spreading", "edges", "series_j*",
 )  # fmt: skip
 RUN_FILES = (*WRITTEN_FILES, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURE_STEMS for kind in FORMATS), "*.fmu")
 

@@ -123,6 +123,8 @@ def _family_lines(
             if stability.events:
                 lines.append(("changes", "of localised multipliers; weak instabilities of waves depend on the length"))
         lines.append(("built", f"{built}, variational system with the {method.flow} flow for {what}"))
+    if family.series is not None:
+        lines.append(("series", f"of Omega and the profile to order {family.series}, with the radius of convergence"))
     if scene.accuracy.certify:
         which = "every orbit" if scene.accuracy.certify == "all" else "the orbits asked for"
         lines.append(("proofs", f"of {which}, in balls"))

@@ -322,6 +322,7 @@ def _of_families(s: Seen) -> Rules:
         elif isinstance(mode, int) and (mode < 1 or (s.sites is not None and mode > s.sites)):
             yield "family mode", toml_repr(mode), f"{there}, first, last"
         yield "family mode", mode in s.modes[:place] and f"{mode} more than once", "each mode once"
+    yield "family series", s.sites == math.inf and " with sites = inf", "with finitely many sites"
     accepted = "false (the vectors form Jordan chains that the gauge does not have)"
     yield "stability vectors", s.is_exceptional and f" with gamma = {chain.gamma!r}", accepted
     with faults_at(placed):

@@ -32,6 +32,7 @@ from casadi_skin.results.tables import (
     further_rows,
     gradient_rows,
     tongue_rows,
+    write_series,
     write_special_points,
 )
 from casadi_skin.runs.branches import Branches
@@ -206,6 +207,9 @@ class Run(Branches):
 
                 self._picture(f"plane_j{mode_of(branch)}", plane_figure, branch)
             self._picture(f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
+        if scene.family is not None and scene.family.series is not None:
+            with self.named("[family] "):
+                self._write_series(branches, scene.family.series)
         if scene.family is not None and scene.family.film:
             from casadi_skin.results.figures.solutions import animate
 
@@ -213,6 +217,13 @@ class Run(Branches):
                 self.progress.say(f"film of j = {mode_of(branch)}")
                 requested = [orbit for orbit in branch.orbits if orbit.point.requested]
                 animate((requested or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
+
+    def _write_series(self, branches: Sequence[Branch], order: int) -> None:
+        """series.csv, series.nc and a picture a family."""
+        found = [branch.series(order) for branch in branches]
+        write_series(found, self.directory, origin(self.request, self.scene_text, branches[0]))
+        for branch, series in zip(branches, found, strict=True):
+            self._picture(f"series_j{series.mode}", figures.series_figure, branch, series)
 
     def _write_branch(self, branch: Branch) -> None:
         """special_points.csv and the pictures of another branch, or of a single solution."""

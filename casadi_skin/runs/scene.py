@@ -41,6 +41,7 @@ Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 Samples = Annotated[int, Meta(ge=2, le=1_000_000)]
 Thousands = Annotated[int, Meta(ge=1, le=1000)]
+Orders = Annotated[int, Meta(ge=1, le=200)]  # the same as in follow.family_series, which loads numerics
 Intervals = Annotated[int, Meta(ge=1, le=1500)]  # the same as in zero.family, which loads numerics
 Cells = Annotated[int, Meta(ge=1, le=MOST_CELLS)]
 CellsAlong = Annotated[int, Meta(ge=1, le=1_000_000_000_000)] | Infinite
@@ -264,6 +265,8 @@ class FamilyTable(Table, frozen=True):
         period_max: Period at which a family ends that has not come to amplitude_max; accepted: {}, above the period
             of the linear mode (left out: no end)
         max_points: Points after which a family ends wherever it is; accepted: {} (left out: 2000)
+        series: Highest order of the power series of Omega and of the profile in S; accepted: {} (left out: no
+            series); of forces that are polynomials
         film: Film (GIF) of the mode at the last point asked for, or else at the end
     """
 
@@ -274,6 +277,7 @@ class FamilyTable(Table, frozen=True):
     at_period: tuple[Positive, ...] = ()
     period_max: Positive | None = None
     max_points: Count = 2000
+    series: Orders | None = None
     film: bool = False
 
 

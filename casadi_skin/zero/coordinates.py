@@ -189,10 +189,6 @@ class Coordinates(ABC):
         """Squares of the lowest and highest linear frequency; None where these are not known."""
         return None
 
-    def first_order_frequency(self, S: Array) -> Array | None:
-        """Omega to first order in S by perturbation theory, shape of S; None where there is no formula."""
-        return None
-
     def regime(self, point: Point) -> Enum | None:
         """Regime of an eliminated linear part of the model at a point; None where nothing is eliminated."""
         return None

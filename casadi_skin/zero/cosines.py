@@ -66,7 +66,7 @@ class _Terms:
         return cls(monomials.power, places, products, csr_matrix(entries, (components, count)))
 
 
-class _Sum:
+class SumOfTerms:
     """Series of a sum of terms, by component; states are (order, all)."""
 
     def __init__(self, terms: Sequence[Monomials], series: Array, components: int, nodes: int) -> None:
@@ -161,8 +161,8 @@ class TaylorRecursion:
         self._curvature = np.zeros((orders + 1, N * H))
         self._D2, self._at_zero = D2, at_zero
         self._by_site = states.reshape(orders + 1, N, H)
-        self._force = _Sum(form.force, states, N, H)
-        self._norm = _Sum(form.norm, self._start, 1, 1)
+        self._force = SumOfTerms(form.force, states, N, H)
+        self._norm = SumOfTerms(form.norm, self._start, 1, 1)
         self._powers = np.zeros((max(self._force.highest, self._norm.highest, 1) + 1, orders + 1))
         self._squared = np.zeros(orders + 1)  # Omega^2
 

@@ -74,6 +74,14 @@ def test_follow_one_family(run: Run) -> None:
     assert abs(slope) < 1e-4 * abs(elsewhere)
 
 
+def test_backbone_series(run: Run) -> None:
+    branch, series = run("backbone_series")
+    assert abs(series.radius - 0.962068) <= series.radius_error < 0.05  # of 120 orders
+    inside = series.radius - 2 * series.radius_error > branch.S
+    miss = np.abs(series.frequency(branch.S[inside]) - branch.Omega[inside])
+    assert np.all(miss <= series.frequency_error(branch.S[inside]) + 1e-12)
+
+
 @pytest.mark.slow
 def test_stability_boundary(run: Run) -> None:
     found = run("stability_boundary", np.array([0.2, 0.3]))

@@ -135,6 +135,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Branch": lambda: rest().follow("mu", 0.1),
     "Certificate": lambda: member().certify(),
     "Diagram": lambda: rest().follow("mu", 0.1).follow_all(depth=1),
+    "FamilySeries": lambda: family().series(8),
     "EdgeCurve": lambda: softer().edge(1).curve("gamma", 0.26),
     "Equilibrium": rest,
     "Evolution": evolution,
@@ -174,7 +175,7 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
 }
 
 
-QUICK = ("Bands", "Branch", "Equilibrium", "Evolution", "Floquet", "LatticeModes", "Orbit", "Spectrum")
+QUICK = ("Bands", "Branch", "Equilibrium", "Evolution", "FamilySeries", "Floquet", "LatticeModes", "Orbit", "Spectrum")
 SLOWER = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in MAKERS]
 
 

@@ -82,7 +82,12 @@ def test_frequencies_of_a_family_start_at_the_linear_ones(families: list[Branch]
     low, high = axes.transData.inverted().transform(band.get_extents().get_points())[:, 1]
     assert (low, high) == pytest.approx((omega[0], omega[-1]))
     assert axes.get_title() == "FPUT-beta: bond = $1$"
-    assert "multiple scales" not in " ".join(legend_labels(figure))
+    theory = lines(axes, "multiple scales, first order in $S$")
+    for mode, line in zip((1, 3), theory, strict=True):  # 3 sum d^4/(8 omega (sum u^2)^2) by extensions d of the mode u
+        u = np.pad(np.sin(np.arange(1, SITES + 1) * mode * np.pi / (SITES + 1)), 1)
+        slope = 3.0 * np.sum(np.diff(u) ** 4) / (8.0 * omega[mode - 1] * np.sum(u**2) ** 2)
+        S, Omega = points(line).T
+        assert Omega == pytest.approx(omega[mode - 1] + slope * S, rel=1e-12)
 
 
 def shaded(axes: Axes, label: str) -> list[list[float]]:

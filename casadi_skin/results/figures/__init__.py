@@ -11,7 +11,7 @@ from typing import Any
 
 PLACES = {
     "branches": ("bifurcation_figure", "branch_figure", "curves_figure", "edges_figure"),
-    "families": ("frequency_figure", "plane_figure", "profile_figure"),
+    "families": ("frequency_figure", "plane_figure", "profile_figure", "series_figure"),
     "multipliers": ("multiplier_figure",),
     "solutions": ("animate", "orbit_figure", "portrait_figure"),
     "bands": ("band_figure", "skin_figure", "spectrum_figure"),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
+from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.linear import band_edges, lattice_modes
 from casadi_skin.model.result import in_turn
@@ -23,10 +24,8 @@ if TYPE_CHECKING:
 
 FLAT_HEIGHT_RATIO = 0.02  # of the height of a picture: a change of frequency that it does not show
 LINEAR_SCALE_RATIO = 30.0  # ratio of shifts that one linear scale does not show
-LOG_SCALE_NEAR, LOG_SCALE_SHORT = (
-    1e-2,
-    0.1,
-)  # of the largest S, and of that of the shortest family: where logarithmic scales begin
+# Of the largest S, and of that of the shortest family: where logarithmic scales begin.
+LOG_SCALE_NEAR, LOG_SCALE_SHORT = 1e-2, 0.1
 MOST_LABELS = 24  # as many as fit one above the other beside the frequencies
 
 
@@ -45,18 +44,13 @@ def family_pieces(branch: Branch, path: Array, shift: bool = False) -> Pieces:
 
 
 def _draw_theory(axes: Axes, branch: Branch, S: Array, shift: bool) -> None:
-    """The frequency to first order in S, where there is a formula; of a shift its slope alone."""
-    coordinates = style.family(branch).coordinates
-    theory = coordinates.first_order_frequency(S)
-    if theory is None:
+    """The frequency to first order in S, where the family is a power series; of a shift its slope alone."""
+    try:
+        start, *_, slope = branch.series(1 if branch.space.S_rate == 1.0 else 2).Omega
+    except (ValueError, ArithmeticError):  # forces that are no polynomials, an endless tail, a resonance
         return
-    if shift:
-        ends = coordinates.first_order_frequency(np.array([0.0, 1.0]))
-        assert ends is not None
-        theory = (ends[1] - ends[0]) * S
-    axes.plot(
-        S, theory, color="black", lw=0.8, ls=(0, (1.0, 3.0)), label="multiple scales, first order in $S$", zorder=4
-    )
+    look: dict[str, Any] = {"color": "black", "lw": 0.8, "ls": (0, (1.0, 3.0)), "zorder": 4}
+    axes.plot(S, slope * S + (0.0 if shift else start), label="multiple scales, first order in $S$", **look)
 
 
 def draw_band(axes: Axes, model: Any, offset: float = 0.0, parameters: Mapping[str, float] | None = None) -> None:
@@ -189,13 +183,60 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         return style.finished(figure, [axes], 3, in_black=True, plain=True)
 
 
+# The power series of a family: its sums over the family, with the radius of convergence -------------------------------
+
+SHOWN_ORDERS = (1, 2, 4, 8, 16, 32, 64, 128)  # below that of the series
+SUMS_TO_RADIUS = 1.25  # of the radius, up to which sums are drawn
+SERIES_SAMPLES = 301
+
+
+def draw_series(axes: Axes, series: FamilySeries, to: float | None = None) -> None:
+    """Sums against S, up to a value of S or somewhat beyond the radius, which is a line with its error as a band."""
+    radius, error = (series.radius, series.radius_error) if np.isfinite(series.radius) else (to or 1.0, 0.0)
+    S = np.linspace(0.0, to or SUMS_TO_RADIUS * radius, SERIES_SAMPLES)
+    orders = [*(k for k in SHOWN_ORDERS if k < series.order), series.order]
+    for k, colour in zip(orders, style.colours(len(orders)), strict=True):
+        axes.plot(S, series.frequency(S, k), lw=0.9, color=colour, label=f"order {k}")
+    inside = series.frequency(np.linspace(0.0, min(0.9 * radius, S[-1])))
+    room = 0.3 * float(np.ptp(inside)) or 0.05 * float(inside[0])
+    axes.set(xlabel=style.AMPLITUDE_LABEL, ylabel=r"frequency $\Omega$", xlim=(0.0, S[-1]))
+    axes.set_ylim(float(inside.min()) - room, float(inside.max()) + room)
+    if np.isfinite(series.radius):
+        axes.axvline(radius, color="0.4", lw=0.8, ls="--", label="radius of convergence")
+        axes.axvspan(max(radius - error, 0.0), radius + error, fc="0.9", ec="none", zorder=0)
+
+
+@in_turn
+def series_figure(branch: Branch, series: FamilySeries) -> Figure:
+    """Omega against S of a family, and the sums of its power series.
+
+    Arguments:
+        branch: the family.
+        series: its `branch.series`.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: the branch is no family.
+    """
+    model, parameters = style.common_model([branch])
+    with style.style():
+        figure, path = style.blank(6.0, 4.4), family_path(branch, False)
+        axes = figure.add_subplot()
+        draw_series(axes, series, float(path[:, 0].max()))
+        axes.plot(*path.T, color="0.75", lw=4.0, zorder=1, label="family")
+        ends = *axes.get_ylim(), float(path[:, 1].min()), float(path[:, 1].max())
+        axes.set(ylim=(min(ends), max(ends)), xlabel=style.amplitude_label(model))
+        axes.set_title(style.title(model, parameters), y=1.0)
+        return style.finished(figure, [axes], 4)
+
+
 # Profiles of requested orbits beside their linear mode (paper, Fig. 3b, e) --------------------------------------------
 
 MARKERS, LINES = "os^Dv<", ("-", "--", "-.", ":")
 DEEPEST_LOG_SIZE = -290.0  # log10 of sizes that are drawn as they are
-DECADES_OF_TICKS = (
-    2.0  # that an axis spans whose whole powers of ten are ticks enough: each tick takes half a millisecond
-)
+DECADES_OF_TICKS = 2.0  # that an axis spans whose powers of ten are ticks enough: each takes half a millisecond
 
 
 def _logarithms(orbit: Orbit) -> Array:
