@@ -106,15 +106,25 @@ def known_names(request: Request) -> tuple[str, ...]:
     if scene.family is not None:
         tables = (FAMILY_QUANTITIES, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
         names = [quantity.name for table in tables for quantity in table]
-        return (*names, "regime", "threshold", *STABILITY, *OF_ALL)
+        moves = _moves(["first_instability"], request)
+        return (*names, "regime", "threshold", *STABILITY, *moves, *OF_ALL)
     ode = request.ode
     special = [name for kind in KINDS for name in _special_names(kind)]
+    special += _moves(special[1::3], request)
     extremes = [f"{name}_{end}" for name in ode.state_names for end in ("min", "max")]
     energy = ["energy"] if scene.orbit is not None and ode.hamiltonian is not None else []
     fixed = (*(FIXED_AT_REST if scene.equilibrium is not None else FIXED), *energy)
     states = request.equations.state_names
     found = dict.fromkeys((*request.parameters, *states, *extremes, *fixed, *STABILITY, *special, *OF_ALL))
     return tuple(name for name in found if name not in LEFT_OUT)
+
+
+def _moves(located: Iterable[str], request: Request) -> list[str]:
+    """Names of derivatives of located values and their errors, where the scene asks for them."""
+    asked_for = request.scene.with_gradient
+    return [
+        f"{name}_by_{p}{end}" for name in located for p in request.parameters for end in ("", "_error") if asked_for
+    ]
 
 
 def check_quantities(request: Request, grid: Grid) -> None:
@@ -144,11 +154,13 @@ def asked(scene: Scene, grid: Grid) -> Scene:
 
 
 def rows_of(
-    branches: Sequence[Branch], fault: str, amplitudes: Sequence[float], growth: float, meanings: dict[str, str]
-) -> Iterator[Row]:
+    branches: Sequence[Branch], fault: str, amplitudes: Sequence[float], growth: float, meanings: dict[str, str],
+    gradient: bool = False,
+) -> Iterator[Row]:  # fmt: skip
     """Rows of a cell's branches: one at their ends, or one for each amplitude of its families.
 
-    `fault` is the reason of a failure beside the branches; `meanings` of quantities by name are added to.
+    `fault` is the reason of a failure beside the branches; `meanings` of quantities by name are added to; with
+    `gradient` the derivatives of located values are among them.
     """
     several = sum(branch.space.is_family for branch in branches) > 1
     for S in amplitudes or (None,):
@@ -159,7 +171,7 @@ def rows_of(
             faults.append(reason)
             if solution is not None:
                 values |= _kept(_of_solution(branch, solution), meanings, suffix)
-            values |= _kept(_of_branch(branch, growth), meanings, suffix)
+            values |= _kept(_of_branch(branch, growth, gradient), meanings, suffix)
         yield Row(values, "; ".join(filter(None, faults)), *_start(branches))
 
 
@@ -194,11 +206,11 @@ def _of_solution(branch: Branch, solution: Solution) -> Named:
     return ((q.name, row[q.name], q.meaning) for q in quantities if row[q.name] != "")
 
 
-def _of_branch(branch: Branch, growth: float) -> Named:
+def _of_branch(branch: Branch, growth: float, gradient: bool) -> Named:
     """Special points of a branch, and how it ended."""
     if len(branch) > 1:
-        yield from _instabilities(branch, growth)
-        yield from _special(branch)
+        yield from _instabilities(branch, growth, gradient)
+        yield from _special(branch, gradient)
         yield "points", len(branch), "points of the branch"
     if branch.threshold is not None:
         yield "threshold", branch.threshold, "S at which the end breather of the infinite chain is born"
@@ -207,7 +219,16 @@ def _of_branch(branch: Branch, growth: float) -> Named:
     yield "end_reason", branch.reason, "why the branch ended"
 
 
-def _instabilities(branch: Branch, growth: float) -> Named:
+def _derivatives(name: str, located: Callable[[], Any]) -> Named:
+    """Derivatives of a located value by all parameters; none of a kind that has none."""
+    with suppress(ValueError, ArithmeticError):
+        found = located().gradient()
+        for parameter, slope in found.items():
+            yield f"{name}_by_{parameter}", slope, f"derivative of {name} by {parameter}"
+            yield f"{name}_by_{parameter}_error", found.errors[parameter], ERROR_MEANING
+
+
+def _instabilities(branch: Branch, growth: float, gradient: bool) -> Named:
     """The first instability, of a family with the tongue or the localised multiplier, and the count of changes."""
     diagram, S, error, tongue = branch.diagram_of_changes, math.nan, math.nan, ""
     if diagram is not None and branch.stability_diagram is None:
@@ -217,6 +238,9 @@ def _instabilities(branch: Branch, growth: float) -> Named:
         if (first := diagram.first_instability(growth)) is not None:
             modes = "" if first.modes is None else f", modes {first.modes[0]} + {first.modes[1]}, order {first.order}"
             S, error, tongue = first.start.S, first.start.S_error, first.kind + modes
+            for number, each in enumerate(branch.changes if gradient else ()):
+                if each.value == S:
+                    yield from _derivatives("first_instability", partial(branch.edge, number))
     elif branch.with_events and not branch.space.stability_included:
         if (change := next((c for c in branch.located if not c.stable_after), None)) is not None:
             S, error = change.value, change.error
@@ -241,7 +265,7 @@ def _special_names(kind: str) -> tuple[str, str, str]:
     return f"{name}_count", f"first_{name}", f"first_{name}_error"
 
 
-def _special(branch: Branch) -> Named:
+def _special(branch: Branch, gradient: bool) -> Named:
     """The first special point of each kind, and how many there are."""
     if branch.space.is_family:
         return
@@ -253,6 +277,8 @@ def _special(branch: Branch) -> Named:
         yield count, len(mine), f"special points of the kind {kind} on the branch"
         yield first, mine[0].parameters[parameter], f"{parameter} at the first {kind} of the branch"
         yield error, mine[0].error, ERROR_MEANING
+        if gradient:
+            yield from _derivatives(first, partial(mine.pop, 0))
 
 
 def _start(branches: Iterable[Branch]) -> tuple[tuple[float, ...], float]:
@@ -335,7 +361,7 @@ class Computer:
         if len(task.values) > 1:
             return list(served(request, task.along, task.values, meanings)), meanings
         branches, fault = followed(request)
-        return list(rows_of(branches, fault, task.amplitudes, self.growth, meanings)), meanings
+        return list(rows_of(branches, fault, task.amplitudes, self.growth, meanings, scene.with_gradient)), meanings
 
     def _request(self, task: Task, value: float) -> Request:
         """The scene of the cell at a value of the parameter that a task goes along."""

@@ -696,6 +696,11 @@ class Scene(Table, frozen=True):
         return msgspec.structs.replace(self.method, **left_out)
 
     @property
+    def with_gradient(self) -> bool:
+        """Whether derivatives of what is located are asked for."""
+        return any(table is not None and table.gradient for table in (self.stability, self.continuation))
+
+    @property
     def has_diagram(self) -> bool:
         """Whether branches that leave, or curves in two parameters, belong to the branch that is followed."""
         table = self.continuation

@@ -15,7 +15,7 @@ from outputs import read_rows
 from programs import Program
 from small_models import limit_cycle
 
-from casadi_skin import BoundaryValueProblem, Chain, OdeModel, find_equilibrium, find_orbit, follow_family
+from casadi_skin import BoundaryValueProblem, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, run_map
 from casadi_skin.runs.program import main
 
 
@@ -291,6 +291,30 @@ def test_a_scene_writes_the_derivatives_of_its_special_points(tmp_path: Path) ->
         assert abs(float(row["derivative"]) - float(row["value"])) <= float(row["error"]) < 1e-8
     scene.write_text(f"{tables}[stability]\ngradient = 3\n", encoding="utf-8")
     assert main(["run", str(scene), "--out", str(tmp_path / "other"), "--quiet"]) == 2
+
+
+MODEL = """import casadi as ca
+from casadi_skin import OdeModel
+x, p, a = (ca.SX.sym(name) for name in ("x", "p", "a"))
+cubic = OdeModel("cubic", x, p - a * x + x**3, ca.vertcat(p, a), nominal=(3.0, 1.2))
+"""
+
+
+@pytest.mark.slow
+def test_maps_have_the_derivatives_of_what_is_located(tmp_path: Path) -> None:
+    """The first instability of a chain scales as 1/|g|; the folds of a cubic are at p = a x - x^3, x^2 = a/3."""
+    tables = "[chain]\nsites = 8\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n[family]\nmode = 1\namplitude_max = 0.3\n"
+    map_table = '[map]\ngamma = [0.25]\nquantities = ["first_instability", "first_instability_by_g"]\n'
+    scene = tmp_path / "chain.toml"
+    scene.write_text(f"{tables}[stability]\ngradient = true\n{map_table}", encoding="utf-8")
+    found = run_map(scene, tmp_path / "chain", quiet=True)
+    assert found["first_instability_by_g"] == pytest.approx(found["first_instability"], abs=1e-9)
+    (tmp_path / "cubic.py").write_text(MODEL, encoding="utf-8")
+    model = '[model]\nfile = "cubic.py"\nname = "cubic"\n[equilibrium]\nstart = { x = -2.0 }\n'
+    walk = '[continuation]\nparameter = "p"\nto = -3.0\ngradient = true\n[map]\na = [1.2, 1.5]\n'
+    scene.write_text(model + walk, encoding="utf-8")
+    found = run_map(scene, tmp_path / "cubic", quiet=True)
+    assert found["first_fold_by_a"] == pytest.approx(-np.sqrt(found.axes["a"] / 3.0), abs=1e-10)
 
 
 # Quantities of solutions ----------------------------------------------------------------------------------------------
