@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.find import restated, scalar_of
+from casadi_skin.follow.find import restated, scalar_of, with_amplitude
 from casadi_skin.follow.follow import held_space
 from casadi_skin.follow.normal_forms import critical_angle
+from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import FAMILY
-from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, SpecialPoint, locate, locate_rest
+from casadi_skin.follow.space import FAMILY, ORBITS
+from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, Located, SpecialPoint, locate, locate_rest
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import accepted_names, by_name, with_error
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
@@ -30,12 +31,14 @@ from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.edges import EdgeProblem, edge_problem, parameters_of
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.adjoint import Equations, derivatives
-from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, HOPF
+from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
 from casadi_skin.zero.linearised import Linearised, null_vectors
 from casadi_skin.zero.problem import EPSILON, Array, Problem
-from casadi_skin.zero.rest import AlgebraicProblem, Course
+from casadi_skin.zero.rest import AlgebraicProblem, Course, Statics, sizes_of
 from casadi_skin.zero.stated_problem import PERIOD
 
+OFFSET_FROM_FOLD = 0.01  # along a family: from where its fold is located in another formulation
+SHORTER_PERIOD = 0.85  # of the period of an orbit beside a connecting one: what it changes by is the error
 ROUNDING_PROBES = 6  # solutions and linear equations off by rounding, of signs drawn at random
 WIDER_DIFFERENCES = 2.0  # times the steps of differences of a program's derivatives, for their error
 UNFOLDING_DEVIATIONS = 100.0  # of rounding: a push of the equations beyond it, by which a branch point becomes none
@@ -116,7 +119,8 @@ def gradient(point: SpecialPoint) -> Gradient:
 
     Arguments:
         point: a fold, a Hopf point or a branch point of equilibria; of orbits and boundary-value problems a fold, a
-            period doubling, a torus or a branch point; the edge of a tongue of a family (`Branch.edge`).
+            period doubling, a torus or a branch point, and the Hopf point or the homoclinic or heteroclinic orbit at
+            which a branch ends; of a family a fold, or the edge of a tongue (`Branch.edge`).
 
     Returns:
         {parameter: derivative} with `errors`; NaN by a parameter that makes a branch point none.
@@ -125,19 +129,13 @@ def gradient(point: SpecialPoint) -> Gradient:
         ValueError: the point is of another kind.
         ArithmeticError: its equations are not solved again, or singular.
     """
-    solution, name = point.solution, point.parameter
-    space: Any = solution.space
-    if space.connects == FAMILY and (point.kind == EDGE or point.mu is not None):
+    solution, name, value = point.solution, point.parameter, point.parameters[point.parameter]
+    if solution.space.connects == FAMILY and (point.kind == EDGE or point.mu is not None):
         return _of_edge(point)
-    if space.connects == FAMILY or space.kind or not point.has_curve:
-        accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in a parameter, an edge of a tongue"
-        raise ValueError(f"gradient: given a {point.kind}; accepted: {accepted}")
-    if solution.is_equilibrium:
-        located = locate_rest(space, point.kind, solution.point.z, 1j * point.frequency if point.kind == HOPF else None)
-        extent = space.course.extent
-    else:
-        located = locate(space, point.kind, solution.point, critical_angle(point.kind, solution))
-        extent = 1.0
+    space, held = solution.space, f"all parameters but {name}, and the kind of the point"
+    if point.kind in (HOMOCLINIC, HETEROCLINIC) and PERIOD in space.free:
+        return _of_connection(point, held)
+    located, extent = _located(point)
     if located is None:
         raise ArithmeticError(f"{space.model.name}: the {point.kind} is not found again: its equations are not solved")
 
@@ -146,11 +144,71 @@ def gradient(point: SpecialPoint) -> Gradient:
 
     at, better = located.point, located.point.better
     finer = (better.problem, better.z) if better is not None and better.problem is not at.problem else None
-    names = [known for known in space.model.parameter_names if known != name]
+    equations = Equations.of(at.problem)
+    names = [known for known in equations.names if known in point.parameters and known not in equations.unknowns()]
     pushed = at.problem.added_index if point.kind == BRANCH_POINT else None
-    values, errors = _with_errors(target, (at.problem, at.z), finer, names, pushed)
-    value, held = point.parameters[name], f"all parameters but {name}, and the kind of the point"
-    return Gradient(f"{name} at the {point.kind}", value, values, errors, held)
+    found = _with_errors(target, (at.problem, at.z), finer, names, pushed)
+    return Gradient(f"{name} at the {point.kind}", value, *found, held)
+
+
+def _located(point: SpecialPoint) -> tuple[Located | None, float]:
+    """A special point as a solution of its augmented problem; and what its first parameter is multiplied by."""
+    solution, name, kind = point.solution, point.parameter, point.kind
+    space: Any = solution.space
+    if kind == HOPF and space.connects == ORBITS and not space.kind:  # at which orbits shrink to an equilibrium
+        values = {known: point.parameters[known] for known in space.model.parameter_names}
+        statics, x = Statics(space.model, values), solution.evaluate(0.0)
+        sizes, to = sizes_of(statics, [x]), values[name] + abs(space.to - space.begins)
+        rest = EquilibriumSpace(statics, space.tolerance, "newton", sizes, parameter=name, to=to)
+        return locate_rest(rest, HOPF, np.append(x / sizes, 0.0), 2j * np.pi / solution.period), to - values[name]
+    if kind == FOLD and space.connects == FAMILY:
+        amplitude = with_amplitude(space.coordinates.model)[1]
+        solution = restated(_aside(solution), amplitude)
+        space = replace(solution.space, parameter=amplitude, to=2.0 * point.parameters[name])
+    elif space.connects == FAMILY or space.kind or not point.has_curve:
+        accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in a parameter, an edge of a tongue"
+        raise ValueError(f"gradient: given a {kind}; accepted: {accepted}")
+    if solution.is_equilibrium:
+        near = 1j * point.frequency if kind == HOPF else None
+        return locate_rest(space, kind, solution.point.z, near), space.course.extent
+    return locate(space, kind, solution.point, critical_angle(kind, solution)), 1.0
+
+
+def _aside(orbit: Solution) -> Solution:
+    """An orbit of a family beside a fold, where it is regular at its S; raises ArithmeticError without one."""
+    solver, point = orbit.space.point_solver, orbit.point
+    row = solver.metric(point.problem, point.z) * point.tangent
+    guess = point.z + OFFSET_FROM_FOLD * point.tangent
+    correction = solver.correct(point.problem, guess, row, float(row @ guess), 1.0)
+    found = None if correction is None else solver.refined(point.problem, correction, row)
+    if found is None:
+        raise ArithmeticError(f"no orbit is found beside the fold: {solver.failure}")
+    return replace(orbit, point=found, exact={})
+
+
+def _of_connection(point: SpecialPoint, held: str) -> Gradient:
+    """Of a homoclinic or heteroclinic orbit: of an orbit of a long period that is held, with the parameter free.
+
+    Both differ by what falls exponentially with the period, which shows in an orbit whose period is shorter.
+    """
+    solution, name = point.solution, point.parameter
+    period, values = solution.period, {**solution.parameters, name: point.parameters[name]}
+    free = [name if known == PERIOD else known for known in solution.statement.free]
+    statement = replace(solution.statement, free=free, parameters=values)
+    slowest = solution.t[np.argmin(np.linalg.norm(np.gradient(solution.states, solution.t, axis=0), axis=1))]
+    found = list[Gradient]()
+    for share in (1.0, SHORTER_PERIOD):
+        cut = (1.0 - share) * period
+
+        def guess(t: float, cut: float = cut) -> Array:
+            return np.asarray(solution.evaluate((t if t < slowest - cut / 2 else t + cut) % period))
+
+        stated = statement.with_parameters(**{PERIOD: share * period})
+        found.append(gradient_of(stated.solve(guess, tolerance=solution.space.tolerance), name))
+    one, other = found
+    slopes = {known: value for known, value in one.items() if known in solution.space.model.parameter_names}
+    errors = {known: one.errors[known] + abs(value - other[known]) for known, value in slopes.items()}
+    return Gradient(f"{name} at the {point.kind}", values[name], slopes, errors, held)
 
 
 def _of_edge(point: SpecialPoint) -> Gradient:
@@ -186,8 +244,9 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None) 
         solution: an equilibrium, an orbit, or a solution of a boundary-value problem, also one of a curve of special
             points; an orbit of a family is first solved again as a boundary-value problem at its S.
         quantity: the name of a free parameter, "period" and "Omega" among them; of a state, at the start or at phase
-            zero; of a state with "_min" or "_max" after it; "energy" and "S"; "max_abs_multiplier", of equilibria
-            "max_growth"; or an expression in states and parameters, as `monitors` of `follow` are, at the start.
+            zero; of a state with "_min" or "_max" after it; "energy" and "S"; "max_abs_multiplier" of an orbit solved
+            over its whole period, "max_growth" of an equilibrium; or an expression in states and parameters, at the
+            start, as `monitors` of `follow` are.
         fixed: "period" or "frequency", as in `follow`: what keeps its value in place of what picks the orbit from
             its family.
 

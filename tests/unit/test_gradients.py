@@ -15,7 +15,16 @@ from outputs import read_rows
 from programs import Program
 from small_models import limit_cycle
 
-from casadi_skin import BoundaryValueProblem, Chain, OdeModel, find_equilibrium, find_orbit, follow_family, run_map
+from casadi_skin import (
+    BoundaryValueProblem,
+    Chain,
+    OdeModel,
+    find_equilibrium,
+    find_orbit,
+    follow_family,
+    run_map,
+    simulate,
+)
 from casadi_skin.runs.program import main
 
 
@@ -238,6 +247,43 @@ def test_the_torus_of_langfords_equations_moves_along_its_curve_and_as_differenc
     assert curve.solutions[0].gradient("rho")["c"] == pytest.approx(found["c"], rel=1e-8)
 
 
+def loop() -> Any:
+    """A cycle on H = (p - q^2)/2, born at a Hopf point at p = q^2 - 1/3, which ends at a homoclinic one at q^2."""
+    x, y, p, q, s = symbols("x y p q s")
+    u = x - s
+    H = y**2 / 2 - u**2 / 2 + u**3 / 3
+    rhs = ca.vertcat(y, u - u**2 + (p - q**2 - 2 * H) * y)
+    model = OdeModel("loop", ca.vertcat(x, y), rhs, ca.vertcat(p, q, s))
+    values = {"p": -0.11, "q": 0.3, "s": 0.1}
+    settled = simulate(model, [1.1, 0.05], np.linspace(0.0, 400.0, 8001), parameters=values)
+    return find_orbit(model, settled.last_cycle(), parameters=values, tolerance=1e-9)
+
+
+def test_ends_of_branches_of_orbits_move_as_in_closed_form() -> None:
+    orbit = loop()
+    for to, kind in ((0.3, "homoclinic"), (-0.4, "hopf")):
+        end = orbit.follow("p", to).special_points[-1]
+        assert end.kind == kind
+        is_close(end.gradient(), {"q": 0.6, "s": 0.0}, largest=1e-12)
+
+
+@pytest.mark.slow
+def test_the_homoclinic_orbit_of_lorenz_equations_moves_as_differences_say() -> None:
+    def end(**given: float) -> Any:
+        x, y, z, r, sigma, beta = symbols("x y z r sigma beta")
+        rhs = ca.vertcat(sigma * (y - x), r * x - y - x * z, x * y - beta * z)
+        model = OdeModel("Lorenz", ca.vertcat(x, y, z), rhs, ca.vertcat(r, sigma, beta))
+        values = {"r": 20.0, "sigma": 10.0, "beta": 8.0 / 3.0, **given}
+        rest = [np.sqrt(19.0 * values["beta"])] * 2 + [19.0]
+        hopf = find_equilibrium(model, rest, parameters=values).follow("r", 28.0).special_points[0]
+        return hopf.follow("r", 10.0).special_points[-1]
+
+    found, values = end().gradient(), {"sigma": 10.0, "beta": 8.0 / 3.0}
+    for name, value in values.items():
+        known = by_differences(lambda **given: float(end(**given).parameters["r"]), values, name, 1e-2 * value)
+        assert abs(found[name] - known) <= found.errors[name] < 1e-4
+
+
 def as_program(model: OdeModel) -> tuple[OdeModel, Program]:
     """The same model with its equations out of CasADi's sight, their first derivatives known; and these, to be kept."""
     field = Program(ca.Function("field", [model.state, model.parameters], [ca.densify(model.rhs)]), 1)
@@ -403,6 +449,15 @@ def test_the_frequency_of_a_family_at_its_amplitude() -> None:
 
     exact = [float(mpmath.diff(Omega, (mpmath.mpf("0.5"), mpmath.mpf("0.8")), order)) for order in ((1, 0), (0, 1))]
     is_close(orbit.gradient("Omega"), dict(zip(("g", "S"), exact, strict=True)), largest=1e-9)
+
+
+def test_a_fold_of_a_family_scales_with_the_cubic_force() -> None:
+    """S is proportional to 1/|g|."""
+    fold = follow_family(Chain(2, 1.224, 0.86, -1.0), 1, 3.2, tolerance=1e-10).special_points[0]
+    found = fold.gradient()
+    assert fold.kind == "fold"
+    assert list(found) == ["alpha", "gamma", "g"]
+    assert abs(found["g"] - fold.parameters["S"]) <= found.errors["g"] + fold.error < 1e-9
 
 
 def test_what_is_no_quantity_is_refused() -> None:
