@@ -9,7 +9,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
 | collocation.c | factors of collocation equations | `solve.bordered` |
-| equations.c | collocation equations | `zero.discretisation` |
+| equations.c | collocation equations, and Newton steps on finer meshes | `zero.discretisation`, `solve.levels` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
 | program.c, places.c | expressions, operations that are alike together, or at many places | CasADi |
@@ -68,6 +68,7 @@ FUNCTIONS = {
     "collocation_speed": "waaww",
     "collocation_corrected": "wwawawarwwwwww",
     "collocation_interpolated": "waiaiiawi",
+    "collocation_newton": "wwaaiiwraiaaawwwiwww",
     "collocation_density": "waaaarrrww",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
@@ -81,9 +82,9 @@ FUNCTIONS = {
     "interval_maps": "aiiaaaaa",
     "changes": "iiiaara",
     "multipliers": "iiiiiriaaaaaaa",
-    "orbit_multipliers": "aaaia",
-    "orbit_multipliers_by_parts": "aaaaaaiiaa",
-    "judged_multipliers": "iaarra",
+    "orbit_multipliers": "waaiw",
+    "orbit_multipliers_by_parts": "wwaaaaiiww",
+    "judged_multipliers": "iwarrw",
     "series_put": "ai",
     "series_right": "ai",
     "series_solve": "aaaa",
@@ -484,7 +485,7 @@ def interval_maps(method: Structure, lengths: Array, jacobians: Array) -> tuple[
     """Maps over intervals by a method of kind METHOD from derivatives at stages (K, d, n, n), and log det of all."""
     K, d, n, _ = jacobians.shape
     maps, contraction = np.empty((K, n, n)), np.empty(1)
-    memory = np.empty(LANES * ((d * n) ** 2 + 2 * (d + 1) * n * n) + (d + 1) * d * n * n)
+    memory = np.empty(LANES * ((d * n) ** 2 + (3 * d + 2) * n * n) + (d * n) ** 2)
     _call("interval_maps", method, K, n, lengths, np.ascontiguousarray(jacobians), maps, contraction, memory)
     return maps, float(contraction[0])
 

@@ -44,7 +44,7 @@ class CollocationKernel:
         matrices = K * heights[0] * widths[0], (K - 1) * heights[1] * widths[1], heights[2] * last
         parts = *matrices, (n * (K + 1) + m) * longs, 2 * (K * R * n + n + m), room, orders
         at = np.cumsum([0, *(-(-part // LANES) * LANES for part in parts)])
-        self._nonzeros, self._size, self._room = rows.size, n * (K * R + 1) + m, int(at[-1]) + LANES
+        self._nonzeros, self._size, self.room = rows.size, n * (K * R + 1) + m, int(at[-1]) + LANES
         # Columns of each non-zero counted from x_k, x_(k+1) or the first scalar, and the rows from its interval's.
         bottom, (k, row) = n * K * R, np.divmod(rows, R * n)
         scalar, column = columns - bottom - n, columns - k * R * n
@@ -71,7 +71,7 @@ class CollocationKernel:
             sizes: of the unknowns, by which singular matrices are told; 1 where it is None.
             least: size of residuals of conditions, at least.
         """
-        memory, sign, x = memory_of(self._room), np.empty(1), np.empty((4, self._size))
+        memory, sign, x = memory_of(self.room), np.empty(1), np.empty((4, self._size))
         data = nonzeros, row, sizes, least, memory, sign, x, x[3]
         if self._kernels["collocation_factors"](self.layout, *data):
             give_back(memory)
@@ -91,7 +91,7 @@ class CollocationKernel:
             row, value: of the closing equation, row . z = value.
             guess: where it starts.
         """
-        z, memory, found, room = guess.copy(), memory_of(self._room), np.empty(2), np.empty(6 * self._size)
+        z, memory, found, room = guess.copy(), memory_of(self.room), np.empty(2), np.empty(6 * self._size)
         residual, nonzeros = np.empty(self._size - 1), np.empty(self._nonzeros)
         data = equations, self.layout, units, newton, numbers, weights, row, value, memory, z, residual, nonzeros
         end = self._kernels["collocation_corrected"](*data, found, room)

@@ -10,7 +10,7 @@
 
 #include "kernel.h"
 
-enum { VALUES = 64 }; /* of an interval, at most */
+enum { VALUES = 64 }; /* of an interval, and states, scalars and integrals times scalars, at most */
 static const double ON_VALUE = 1e-14; /* distance of a place from a value that is rounding, of the interval */
 
 /* A model at K d + 1 places, the stages with the last one twice or the check points of the defect, and at both ends;
@@ -94,35 +94,55 @@ void NAMED(collocation_velocities)(const void *of, const double *z, const double
         memcpy(velocities + k * count, e->field + k * e->n, (size_t)count * sizeof(double));
 }
 
-/* Residual and non-zeros of the Jacobian. The last of the R values is the end of the interval, whose weights are those of
-   integrals. */
-KERNEL(collocation_equations)(const equations *e, const double *z, const double *numbers, double *residual,
-                              double *nonzeros)
+/* The functions that are lists of operations. */
+static void evaluate_all(const equations *e, const double *z, const double *numbers)
 {
-    const int64_t n = e->n, d = e->d, own = e->integrals, scalars = e->m * n;
-    const int32_t *stiff = e->stiff, *rest = e->rest;
-    const double *lengths = numbers;
     if (e->of_field)
         at_stages(e, e->of_field, z, numbers);
     if (e->of_integrands)
         at_stages(e, e->of_integrands, z, numbers);
     if (e->of_conditions) {
         give_numbers(e, e->of_conditions, z, numbers);
-        memcpy(e->of_conditions->argument[0], z, (size_t)n * sizeof(double));
-        memcpy(e->of_conditions->argument[1], z + state_values(e) - n, (size_t)n * sizeof(double));
+        memcpy(e->of_conditions->argument[0], z, (size_t)e->n * sizeof(double));
+        memcpy(e->of_conditions->argument[1], z + state_values(e) - e->n, (size_t)e->n * sizeof(double));
         NAMED(at_places)(e->of_conditions);
     }
-    for (int64_t i = 0; i < e->nonzeros; i++)
-        nonzeros[i] = e->differences[i];
+}
+
+/* Of the field's values: the end of an interval is the last of the R, whose weights are those of integrals. */
+static void residual_of(const equations *e, const double *z, const double *lengths, double *residual)
+{
+    const int64_t n = e->n, d = e->d, own = e->integrals;
     for (int64_t k = 0; k < e->K; k++, z += e->R * n)
-        for (int64_t i = 0; i < e->R; i++, residual += n) {
-            const double *weights = e->extended + i * d;
+        for (int64_t i = 0; i < e->R; i++, residual += n)
             for (int64_t c = 0; c < n; c++) {
                 double sum = 0.0;
                 for (int64_t j = 0; j < d; j++)
-                    sum += lengths[k] * weights[j] * e->field[(k * d + j) * n + c];
+                    sum += lengths[k] * e->extended[i * d + j] * e->field[(k * d + j) * n + c];
                 residual[c] = z[(i + 1) * n + c] - z[c] - sum;
             }
+    memcpy(residual, e->condition, (size_t)e->conditions * sizeof(double));
+    residual += e->conditions;
+    memset(residual, 0, (size_t)own * sizeof(double));
+    for (int64_t k = 0; k < e->K * d; k++)
+        for (int64_t i = 0; i < own; i++)
+            residual[i] += lengths[k / d] * e->extended[(e->R - 1) * d + k % d] * e->integrand[k * own + i];
+}
+
+/* Residual and non-zeros of the Jacobian. */
+KERNEL(collocation_equations)(const equations *e, const double *z, const double *numbers, double *residual,
+                              double *nonzeros)
+{
+    const int64_t n = e->n, d = e->d, own = e->integrals, scalars = e->m * n;
+    const int32_t *stiff = e->stiff, *rest = e->rest;
+    const double *lengths = numbers;
+    evaluate_all(e, z, numbers);
+    residual_of(e, z, lengths, residual);
+    for (int64_t i = 0; i < e->nonzeros; i++)
+        nonzeros[i] = e->differences[i];
+    for (int64_t k = 0; k < e->K; k++)
+        for (int64_t i = 0; i < e->R; i++) {
+            const double *weights = e->extended + i * d;
             for (int64_t j = 0; j < d; j++) {
                 const double weight = lengths[k] * weights[j], *by_states = e->by_states + (k * d + j) * e->entries;
                 for (int64_t c = 0; c < e->entries; c++)
@@ -135,22 +155,17 @@ KERNEL(collocation_equations)(const equations *e, const double *z, const double 
                 nonzeros[*rest++] = -sum;
             }
         }
-    memcpy(residual, e->condition, (size_t)e->conditions * sizeof(double));
     for (int end = 0; end < 3; end++)
         for (int64_t i = 0; i < e->by_ends[end]; i++)
             nonzeros[*rest++] = e->by_end[end][i];
     if (!own)
         return 0;
     const double *weights = e->extended + (e->R - 1) * d;
-    residual += e->conditions;
-    memset(residual, 0, (size_t)own * sizeof(double));
     const int32_t *by_scalars = rest + e->K * d * own * n;
     for (int64_t i = 0; i < own * e->m; i++)
         nonzeros[by_scalars[i]] = 0.0;
     for (int64_t k = 0; k < e->K * d; k++) {
         const double weight = lengths[k / d] * weights[k % d];
-        for (int64_t i = 0; i < own; i++)
-            residual[i] += weight * e->integrand[k * own + i];
         for (int64_t i = 0; i < own * n; i++)
             nonzeros[*rest++] = weight * e->by_x[k * own * n + i];
         for (int64_t i = 0; i < own * e->m; i++)
@@ -564,6 +579,108 @@ void NAMED(collocation_jacobians_at)(const void *of, const void *polynomials, co
         NAMED(at_places)(&these);
         dense(e, these.count, n, rows, columns, jacobians);
     }
+}
+
+/* The equations between the ends of intervals alone, by what `condense` has of these: non-zeros by columns, each at its
+   place in `order`, which lists them by intervals, then those of conditions and of integrals; and the residual. */
+static void between_ends(const equations *e, const double *lengths, const double *maps, const double *inner,
+                         const double *residual, const int64_t *order, double *nonzeros, double *right)
+{
+    const int64_t n = e->n, m = e->m, d = e->d, own = e->integrals, w = n + m + 1, bottom = n * e->K * e->R;
+    const double *weights = e->extended + (e->R - 1) * d;
+    double by_s[VALUES] = {0.0};
+    for (int64_t i = 0; i < e->K * n; i++, maps += w) {
+        nonzeros[*order++] = 1.0;
+        for (int64_t c = 0; c < n + m; c++)
+            nonzeros[*order++] = -maps[c];
+        right[i] = maps[n + m];
+    }
+    right += e->K * n;
+    for (int end = 0; end < 3; end++)
+        for (int64_t i = 0; i < e->by_ends[end]; i++)
+            nonzeros[*order++] = e->by_end[end][i];
+    memcpy(right, residual + bottom, (size_t)(e->conditions + own) * sizeof(double));
+    right += e->conditions;
+    for (int64_t k = 0; k < e->K; k++)
+        for (int64_t i = 0; i < own; i++) {
+            double row[2 * VALUES] = {0.0};
+            for (int64_t j = 0; j < d; j++)
+                for (int64_t a = 0; a < n; a++) {
+                    const double by_x = e->by_x[((k * d + j) * n + a) * own + i], *at = inner + ((k * d + j) * n + a) * w;
+                    for (int64_t c = 0; c < w; c++)
+                        row[c] += lengths[k] * weights[j] * by_x * at[c];
+                }
+            for (int64_t c = 0; c < n; c++)
+                nonzeros[*order++] = row[c];
+            for (int64_t c = 0; c < m; c++) {
+                by_s[i * m + c] += row[n + c];
+                for (int64_t j = 0; j < d; j++)
+                    by_s[i * m + c] += lengths[k] * weights[j] * e->by_s[((k * d + j) * m + c) * own + i];
+            }
+            right[i] -= row[n + m];
+        }
+    for (int64_t i = 0; i < own * m; i++)
+        nonzeros[*order++] = by_s[i];
+}
+
+/* One Newton step from a solution of coarser equations, to z on these, (size): with the last scalar held, or, where there
+   is a `way`, brought back to it along that. `given` are one or two rows of `apart` numbers, the solution and its way,
+   `weights` are of the n states at ends of intervals and of the scalars, (n + m), by which the way is measured. A change
+   of the last scalar on the way below `least` is that of a fold. Returns 1 where the matrix is singular but for rounding,
+   see `collocation_factors`, which takes the equations between ends of intervals, `layout`. */
+KERNEL(collocation_newton)(const equations *e, const void *polynomials, const double *edges, const double *given,
+                           int64_t rows_given, int64_t apart, const double *weights, double least, const double *numbers,
+                           int64_t count, const double *at, const int64_t *rows, const int64_t *columns,
+                           const void *method, const void *layout, const int64_t *order, int64_t nonzeros_count,
+                           double *memory, double *z, double *room)
+{
+    const int64_t n = e->n, m = e->m, K = e->K, d = e->d, R = e->R, w = n + m + 1, size = n * (K * R + 1) + m;
+    const int64_t short_size = n * (K + 1) + m, equations_count = size - 1;
+    double *both = room, *residual = both + 2 * size, *jacobians = residual + equations_count, sign;
+    double *maps = jacobians + K * d * n * n, *inner = maps + K * n * w, *nonzeros = inner + K * d * n * w;
+    double *row = nonzeros + nonzeros_count, *x = row + short_size, *right = x + 3 * short_size, *rest = right + short_size;
+    NAMED(collocation_interpolated)(polynomials, edges, rows_given, given, apart, count, at, both, size);
+    for (int64_t i = 0; i < rows_given; i++)
+        memcpy(both + (i + 1) * size - m, given + (i + 1) * apart - m, (size_t)m * sizeof(double));
+    evaluate_all(e, both, numbers);
+    residual_of(e, both, numbers, residual);
+    dense(e, K * d, n, rows, columns, jacobians);
+    NAMED(condense)(method, K, n, m, numbers, jacobians, e->by_scalars, residual, R * n, maps, inner, rest);
+    between_ends(e, numbers, maps, inner, residual, order, nonzeros, right);
+    const double *way = rows_given > 1 ? both + size : NULL;
+    memset(row, 0, (size_t)short_size * sizeof(double)), row[short_size - 1] = 1.0;
+    for (int64_t k = 0; way && k <= K; k++)
+        for (int64_t a = 0; a < n; a++)
+            row[k * n + a] = weights[a] * way[k * R * n + a];
+    for (int64_t c = 0; way && c < m; c++)
+        row[(K + 1) * n + c] = weights[n + c] * way[size - m + c];
+    if (NAMED(collocation_factors)(layout, nonzeros, row, NULL, 1.0, memory, &sign, x, rest))
+        return 1;
+    right[short_size - 1] = 0.0;
+    NAMED(collocation_solve)(layout, memory, 1, right);
+
+    /* the step, and z without it */
+    for (int64_t k = 0; k <= K; k++) {
+        const double *start = right + k * n, *s = right + (K + 1) * n;
+        memcpy(z + k * R * n, start, (size_t)n * sizeof(double));
+        for (int64_t i = 0; k < K && i < (R - 1) * n; i++) {
+            const double *from = inner + (k * d * n + i) * w;
+            double sum = from[n + m];
+            for (int64_t c = 0; c < n; c++)
+                sum += from[c] * start[c];
+            for (int64_t c = 0; c < m; c++)
+                sum += from[n + c] * s[c];
+            z[k * R * n + n + i] = sum;
+        }
+    }
+    memcpy(z + size - m, right + (K + 1) * n, (size_t)m * sizeof(double));
+    const int back = way && fabs(way[size - 1]) > least;
+    const double along = back ? z[size - 1] / way[size - 1] : 0.0;
+    for (int64_t i = 0; i < size; i++)
+        z[i] = both[i] - (back ? z[i] - along * way[i] : z[i]);
+    if (back)
+        z[size - 1] = both[size - 1];
+    return 0;
 }
 
 /* Wanted density of intervals, see zero/mesh.py, which has the same by numpy: of states z in sizes of the components, by

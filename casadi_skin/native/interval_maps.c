@@ -3,6 +3,11 @@
    x' = A(t) x at the d stages of an interval of length h: slopes S_i = A_i (1 + h sum_j a_ij S_j), the map is
    1 + h sum_i b_i S_i, in units that balance the largest entries of all A.
 
+   And collocation equations by what they are between the ends of intervals alone, see solve/condensed.py: with derivatives
+   B(t) by scalars s and residuals R_i of the stages, their changes are
+
+       X_i = x + sum_j a_ij h (A_j X_j + B_j s) + R_i  =  P_i x + G_i s + g_i.
+
    Matrices are small, row by row. Stages of LANES intervals are solved for together, one interval a lane, by elimination
    without exchanges, and once more with exchanges where factors grow. */
 
@@ -58,13 +63,14 @@ static void units_of(int64_t count, int64_t n, const double *matrices, double *u
     NAMED(balancing)(n, most, units);
 }
 
-/* x = A y of matrices (n, n) in lanes. */
-static inline void product(int64_t n, lanes *restrict x, const lanes *restrict A, const lanes *restrict y)
+/* x = A y in lanes, with y (n, columns). */
+static inline void product(int64_t n, int64_t columns, lanes *restrict x, const lanes *restrict A,
+                           const lanes *restrict y)
 {
-    memset(x, 0, (size_t)(n * n) * sizeof(lanes));
+    memset(x, 0, (size_t)(n * columns) * sizeof(lanes));
     for (int64_t i = 0; i < n; i++)
         for (int64_t k = 0; k < n; k++)
-            add(n, x + i * n, A[i * n + k], y + k * n);
+            add(columns, x + i * columns, A[i * n + k], y + k * columns);
 }
 
 /* x += f_0 y_0 + f_1 y_1 + .. of `many` rows y, `apart` lanes from one to the next: x is read and written once. */
@@ -145,39 +151,47 @@ static void stage_system(const method *of, int64_t n, const double *h, const lan
         }
 }
 
-/* The states at the stages of LANES intervals from 1 at their starts. */
-static void stages(const method *of, int64_t n, const double *h, const lanes *J, lanes *A, lanes *P, double *room)
+/* Solutions at the stages of LANES intervals in the place of right-hand sides (d n, columns). `room` has (d n)^2 + LANES
+   d n columns numbers. */
+static void stages(const method *of, int64_t n, int64_t columns, const double *h, const lanes *J, lanes *A, lanes *P,
+                   double *room)
 {
-    const int64_t d = of->stages, N = d * n;
+    const int64_t d = of->stages, N = d * n, count = N * columns;
     lanes growth = {0.0};
-    memset(P, 0, (size_t)(N * n) * sizeof(lanes));
-    for (int64_t i = 0; i < N; i++)
-        EACH P[i * n + i % n][l] = 1.0;
+    double *given = room + N * N;
     stage_system(of, n, h, J, A);
     factor(N, A, growth);
-    solve(N, n, A, P);
     int grown = 0;
     EACH grown |= !(growth[l] <= MOST_GROWTH);
+    for (int64_t l = 0; grown && l < LANES; l++)
+        for (int64_t i = 0; i < count; i++)
+            given[l * count + i] = P[i][l];
+    solve(N, columns, A, P);
     if (!grown)
         return;
     stage_system(of, n, h, J, A);
     for (int64_t l = 0; l < LANES; l++) {
-        double *one = room, *x = room + N * N;
+        double *x = given + l * count;
         if (growth[l] <= MOST_GROWTH)
             continue;
         for (int64_t i = 0; i < N * N; i++)
-            one[i] = A[i][l];
-        memset(x, 0, (size_t)(N * n) * sizeof(double));
-        for (int64_t i = 0; i < N; i++)
-            x[i * n + i % n] = 1.0;
-        NAMED(divide)(N, n, one, x);
-        for (int64_t i = 0; i < N * n; i++)
+            room[i] = A[i][l];
+        NAMED(divide)(N, columns, room, x);
+        for (int64_t i = 0; i < count; i++)
             P[i][l] = x[i];
     }
 }
 
+/* 1 at all stages, in the first n of the columns of right-hand sides, which are zero. */
+static void ones(int64_t N, int64_t n, int64_t columns, lanes *P)
+{
+    memset(P, 0, (size_t)(N * columns) * sizeof(lanes));
+    for (int64_t i = 0; i < N; i++)
+        EACH P[i * columns + i % n][l] = 1.0;
+}
+
 /* Maps over K intervals, (K, n, n), from derivatives of the field at their stages, (K, d, n, n), and the logarithm of
-   the determinant of their product. `memory` has LANES ((d n)^2 + 2 (d + 1) n^2) + (d + 1) d n^2 numbers. */
+   the determinant of their product. `memory` has LANES ((d n)^2 + (3 d + 2) n^2) + (d n)^2 numbers. */
 KERNEL(interval_maps)(const void *by, int64_t K, int64_t n, const double *lengths, const double *jacobians,
                       double *maps, double *contraction, double *memory)
 {
@@ -190,12 +204,13 @@ KERNEL(interval_maps)(const void *by, int64_t K, int64_t n, const double *length
     *contraction = 0.0;
     for (int64_t first = 0; first < K; first += LANES) {
         take(d, n, first, K, lengths, units, jacobians, J, h);
-        stages(of, n, h, J, A, P, room);
+        ones(N, n, n, P);
+        stages(of, n, n, h, J, A, P, room);
         memset(M, 0, (size_t)area * sizeof(lanes));
         for (int64_t a = 0; a < n; a++)
             EACH M[a * n + a][l] = 1.0;
         for (int64_t j = 0; j < d; j++) {
-            product(n, slopes, J + j * area, P + j * area);
+            product(n, n, slopes, J + j * area, P + j * area);
             EACH weight[l] = h[l] * of->end[j];
             add(area, M, weight, slopes);
         }
@@ -208,6 +223,58 @@ KERNEL(interval_maps)(const void *by, int64_t K, int64_t n, const double *length
         }
     }
     return 0;
+}
+
+/* What equations are between the ends of intervals, x_(k+1) = M x_k + G s + g: (n, n + m + 1) of each of K, into `maps`, and
+   the same of the stages, (d n, n + m + 1), into `inner`. Derivatives by the m scalars are by columns, (K d, m, n), the
+   residual has `apart` numbers an interval, of the stages first, of its end last. `memory` has LANES ((d n)^2 + (d + 1) (n
+   + 2 (n + m + 1)) n + d n (n + m + 1)) + (d n)^2 numbers. */
+void NAMED(condense)(const void *by, int64_t K, int64_t n, int64_t m, const double *lengths, const double *jacobians,
+                     const double *by_scalars, const double *residual, int64_t apart, double *maps, double *inner,
+                     double *memory)
+{
+    const method *of = by;
+    const int64_t d = of->stages, N = d * n, w = n + m + 1;
+    lanes *A = (lanes *)memory, *J = A + N * N, *B = J + d * n * n, *P = B + N * m, *M = P + N * w, *slopes = M + n * w;
+    double units[MOST_STATES], *room = (double *)(slopes + n * w);
+    lanes h, weight;
+    units_of(K * d, n, jacobians, units);
+    for (int64_t first = 0; first < K; first += LANES) {
+        const double *ends = residual + apart - n;
+        take(d, n, first, K, lengths, units, jacobians, J, h);
+        ones(N, n, w, P);
+        for (int64_t l = 0; l < LANES; l++) {
+            const int64_t k = first + l < K ? first + l : K - 1;
+            for (int64_t i = 0; i < N; i++) {
+                P[i * w + n + m][l] = residual[k * apart + i] / units[i % n];
+                for (int64_t c = 0; c < m; c++)
+                    B[i * m + c][l] = by_scalars[((k * d + i / n) * m + c) * n + i % n] / units[i % n];
+            }
+        }
+        for (int64_t i = 0; i < N; i++)
+            for (int64_t j = 0; j < d; j++) {
+                EACH weight[l] = h[l] * of->matrix[i / n * d + j];
+                add(m, P + i * w + n, weight, B + (j * n + i % n) * m);
+            }
+        stages(of, n, w, h, J, A, P, room);
+        ones(n, n, w, M);
+        for (int64_t j = 0; j < d; j++) {
+            product(n, w, slopes, J + j * n * n, P + j * n * w);
+            EACH weight[l] = h[l] * of->end[j];
+            for (int64_t i = 0; i < n; i++)
+                add(m, slopes + i * w + n, (const double[LANES]){1, 1, 1, 1, 1, 1, 1, 1}, B + (j * n + i) * m);
+            add(n * w, M, weight, slopes);
+        }
+        for (int64_t l = 0; l < LANES && first + l < K; l++)
+            for (int64_t i = 0; i < N + n; i++) {
+                double *to = i < N ? inner + ((first + l) * N + i) * w : maps + ((first + l) * n + i - N) * w;
+                const lanes *from = i < N ? P + i * w : M + (i - N) * w;
+                for (int64_t c = 0; c < w; c++)
+                    to[c] = from[c][l] * (c < n ? units[i % n] / units[c] : units[i % n]);
+                if (i >= N)
+                    to[n + m] += ends[(first + l) * apart + i - N];
+            }
+    }
 }
 
 /* The smaller of the largest sums of moduli of rows and of columns. */

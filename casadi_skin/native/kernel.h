@@ -90,6 +90,13 @@ void NAMED(collocation_jacobians_at)(const void *of, const void *polynomials, co
 void NAMED(collocation_velocities)(const void *of, const double *z, const double *numbers, int64_t count,
                                    double *velocities);
 
+/* Collocation equations between the ends of intervals: interval_maps.c; factors of those: collocation.c. */
+void NAMED(condense)(const void *method, int64_t K, int64_t n, int64_t m, const double *lengths, const double *jacobians,
+                     const double *by_scalars, const double *residual, int64_t apart, double *maps, double *inner,
+                     double *memory);
+int NAMED(collocation_factors)(const void *layout, const double *nonzeros, const double *row, const double *sizes,
+                               double least, double *memory, double *sign, double *x, double *room);
+
 /* Maps over intervals, what may change in these, and multipliers of a chain: interval_maps.c, multipliers.c. */
 int NAMED(interval_maps)(const void *of, int64_t K, int64_t n, const double *lengths, const double *jacobians,
                          double *maps, double *contraction, double *memory);

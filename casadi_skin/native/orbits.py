@@ -41,7 +41,7 @@ class OrbitKernel:
     def _room(self, intervals: int) -> int:
         """Numbers that maps over intervals need, and their multipliers."""
         n, d = self._n, self._d
-        for_maps = LANES * ((d * n) ** 2 + 2 * (d + 1) * n * n) + (d + 1) * d * n * n
+        for_maps = LANES * ((d * n) ** 2 + (3 * d + 2) * n * n) + (d * n) ** 2
         return max(for_maps, (8 * intervals + 40) * n * n + 20 * n + 4 * intervals)
 
     def found(

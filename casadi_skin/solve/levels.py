@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadi_skin.solve.between_ends import step_on_finer
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.newton import Correction, Corrector
 from casadi_skin.zero import mesh
@@ -299,6 +300,12 @@ class Levels:
 
     def better(self, problem: Problem, z: Array, tangent: Array | None = None) -> Refinement | None:
         """The better orbit of `refined` without the error that it shows."""
+        finer = self.finer(problem)
+        if isinstance(problem, BoundaryProblem) and isinstance(finer, BoundaryProblem):
+            least = FOLD_TANGENT_RATIO * problem.parameter_size(z)
+            found = step_on_finer(problem, finer, z, tangent, least)
+            if found is not None:
+                return Refinement(finer, found)
         on_finer = self._on_finer(problem, z, tangent, Scalar.PARAMETER if tangent is None else None)
         if on_finer is None:
             return None

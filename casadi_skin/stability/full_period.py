@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from casadi_skin import native
 from casadi_skin.model.conserved import SymmetryClass, quantities
 from casadi_skin.model.integrators import CvodesError, IntegrationError, Trajectory
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.native import METHOD, MOST_STATES, Structure, kernels, orbits
+from casadi_skin.native import MOST_STATES, kernels, orbits
 from casadi_skin.native.orbits import OrbitKernel
+from casadi_skin.solve.between_ends import method_of
 from casadi_skin.solve.intervals import MANY_STATES
 from casadi_skin.stability.closed_maps import (
     FAR_LOG_EIGENVALUE,
@@ -121,8 +122,9 @@ def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> 
         table: the method.
     """
     n, d, K = jacobians.shape[1], table.degree, lengths.size
-    if n <= MOST_STATES and table.stages == tuple(range(1, d + 1)) and kernels():
-        return native.interval_maps(_method(table), lengths, jacobians.reshape(K, d, n, n))
+    method = method_of(table)
+    if n <= MOST_STATES and method is not None and kernels():
+        return native.interval_maps(method, lengths, jacobians.reshape(K, d, n, n))
     units, maps = balancing(np.max(np.abs(jacobians), axis=0)), np.empty((K, n, n))
     of_intervals = (jacobians * (units / units[:, None])).reshape(K, d, n, n)
     for these in np.array_split(np.arange(K), K * (n * d) ** 2 // LARGEST_STACK + 1):
@@ -137,12 +139,6 @@ def _solved_maps(A: Array, h: Array, table: CollocationTable) -> Array:
     one = np.eye(n)
     stages = np.linalg.solve(_stage_systems(A, h, table), np.tile(one, (d, 1))).reshape(K, d, n, n)
     return np.asarray(one + h * np.tensordot(A @ stages, table.extended[-1], (1, 0)))
-
-
-@lru_cache(maxsize=16)
-def _method(table: CollocationTable) -> Structure:
-    """A method whose stages are the values behind the start, for compiled kernels."""
-    return Structure(METHOD, table.degree, *map(np.ascontiguousarray, (table.matrix, table.extended[-1])))
 
 
 def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
@@ -346,11 +342,11 @@ class Closed:
 
 def _kernel_of(problem: BoundaryProblem, model: OdeModel) -> OrbitKernel | None:
     equations, table, n = problem.discretisation, problem.table, model.full_size
-    plain = model.forced or not quantities(model)
-    if not plain or equations.checks is None or n > MOST_STATES or table.stages != tuple(range(1, table.degree + 1)):
+    plain, method = model.forced or not quantities(model), method_of(table)
+    if not plain or equations.checks is None or n > MOST_STATES or method is None:
         return None
     apart, trivial = table.ends.size * problem.formulation.states, int(not model.forced)
-    data = equations.compiled, _method(table), problem.formulation.entries, table.nodes, general_frame(n)
+    data = equations.compiled, method, problem.formulation.entries, table.nodes, general_frame(n)
     return OrbitKernel((n, problem.resolution, table.degree, apart), trivial, *data)
 
 
