@@ -26,7 +26,6 @@ from casadi_skin.zero.amplitude_series import amplitude_series
 from casadi_skin.zero.cosines import PolynomialForm
 from casadi_skin.zero.problem import Array
 
-IN_S, IN_ROOT = "S", "sqrt(S)"  # variables of families whose forces are odd, and of others
 MOST_ORDERS = 200
 # Of 150 planted series of three branch points or poles each the radius is within its error in 97 per cent from order 12
 # on: 83 at order 8.
@@ -86,7 +85,7 @@ class FamilySeries(Result):
         return np.maximum(-np.log10(self.Omega_error / np.maximum(np.abs(self.Omega), self.Omega_error)), 0.0)
 
     def _x(self, S: ArrayLike) -> Array:
-        return np.asarray(S, dtype=float) if self.variable == IN_S else np.sqrt(S)
+        return np.asarray(S, dtype=float) if self.variable == "S" else np.sqrt(S)
 
     def frequency(self, S: ArrayLike, order: int | None = None) -> Array:
         """The sum of Omega at S, up to an order, of all by default; shape of S."""
@@ -98,7 +97,8 @@ class FamilySeries(Result):
 
         Of orders left out |Omega_k| R^k is taken to be no larger than in the last half of the series.
         """
-        x, radius, count = self._x(S), float(self._x(max(self.radius - self.radius_error, 0.0))), self.Omega.size
+        x, count = np.abs(self._x(S)), self.Omega.size
+        radius = float(self._x(max(self.radius - self.radius_error, 0.0)))
         ratio, k = np.divide(x, radius, out=np.ones_like(x), where=x < radius), np.arange(count // 2, count)
         parts = np.abs(self.Omega[k]) * x[..., None] ** k * ratio[..., None] ** (count - k)
         left_out = np.divide(np.max(parts, axis=-1), 1.0 - ratio, out=np.full_like(x, np.inf), where=ratio < 1.0)
@@ -153,7 +153,7 @@ def series(branch: Branch, order: int = 20) -> FamilySeries:
     if not odd:
         radius, radius_error = radius**2, 2.0 * radius * radius_error
     return FamilySeries(
-        IN_S if odd else IN_ROOT, int(coordinates.mode_number), Omega, Omega_error, harmonics,
+        "S" if odd else "sqrt(S)", int(coordinates.mode_number), Omega, Omega_error, harmonics,
         tuple(coordinates.position_names), profile, profile_error, place, radius, radius_error,
     )  # fmt: skip
 
@@ -169,10 +169,9 @@ def nearest_singularity(F: Array) -> tuple[complex, float, float]:
     """
     later = np.flatnonzero(F)
     later = later[later >= max(F.size // 2, 1)]
-    if F.size > FEWEST_ORDERS and not later.size:
-        return complex("nan"), np.inf, 0.0
     if F.size <= FEWEST_ORDERS or later.size < 2:
-        return complex("nan"), np.nan, np.inf
+        everywhere = F.size > FEWEST_ORDERS and not later.size
+        return complex("nan"), *((np.inf, 0.0) if everywhere else (np.nan, np.inf))
     unit = float(np.exp(-np.polyfit(later, np.log(np.abs(F[later])), 1)[0]))
     scaled = F * unit ** np.arange(F.size)
     roots = [each for last in range(F.size - ORDERS_DROPPED, F.size) for each in _roots(scaled[: last + 1])]
@@ -187,7 +186,8 @@ def nearest_singularity(F: Array) -> tuple[complex, float, float]:
                 root = complex(np.median(common.real), np.median(common.imag))
             else:
                 low, high = np.quantile(np.abs(common), QUANTILES)
-                return unit * root, unit * abs(root), float(unit * SPREAD_FACTOR * (high - low))
+                blurred = abs(root) / (F.size - 1) ** 2  # singularities so near to one another look like one
+                return unit * root, unit * abs(root), float(unit * (SPREAD_FACTOR * (high - low) + blurred))
     decay = np.polyfit(later, np.log(np.abs(F[later])) + WEAKEST_DECAY * np.log(later), 1)[0]
     return complex("nan"), float(np.exp(-decay)), FALLBACK_ERROR * float(np.exp(-decay))
 

@@ -182,7 +182,7 @@ class Run(Branches):
         picture(self.request.scene, self.directory / name, draw, *shown)
 
     def _write_families(self, branches: Sequence[Branch]) -> None:
-        """events.csv with the tables beside it, the pictures of families, and films of their modes."""
+        """events.csv with the tables beside it, pictures of families, their power series, and films of their modes."""
         scene, directory = self.request.scene, self.directory
         if scene.stability is not None and any(branch.with_events for branch in branches):
             known = [(b, diagram) for b in branches if (diagram := b.diagram_of_changes) is not None]
@@ -209,7 +209,10 @@ class Run(Branches):
             self._picture(f"multipliers_j{mode_of(branch)}", figures.multiplier_figure, branch)
         if scene.family is not None and scene.family.series is not None:
             with self.named("[family] "):
-                self._write_series(branches, scene.family.series)
+                found = [branch.series(scene.family.series) for branch in branches]
+                write_series(found, directory, origin(self.request, self.scene_text, branches[0]))
+                for branch, series in zip(branches, found, strict=True):
+                    self._picture(f"series_j{series.mode}", figures.series_figure, branch, series)
         if scene.family is not None and scene.family.film:
             from casadi_skin.results.figures.solutions import animate
 
@@ -217,13 +220,6 @@ class Run(Branches):
                 self.progress.say(f"film of j = {mode_of(branch)}")
                 requested = [orbit for orbit in branch.orbits if orbit.point.requested]
                 animate((requested or branch.orbits)[-1], directory / f"film_j{mode_of(branch)}.gif")
-
-    def _write_series(self, branches: Sequence[Branch], order: int) -> None:
-        """series.csv, series.nc and a picture a family."""
-        found = [branch.series(order) for branch in branches]
-        write_series(found, self.directory, origin(self.request, self.scene_text, branches[0]))
-        for branch, series in zip(branches, found, strict=True):
-            self._picture(f"series_j{series.mode}", figures.series_figure, branch, series)
 
     def _write_branch(self, branch: Branch) -> None:
         """special_points.csv and the pictures of another branch, or of a single solution."""

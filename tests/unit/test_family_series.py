@@ -284,6 +284,17 @@ def test_sums_come_nearer_within_the_radius_and_part_beyond() -> None:
     assert np.all(np.diff(errors) > 0.0)
 
 
+def test_a_narrow_resonance_ends_the_convergence() -> None:
+    """Where 7 Omega meets mode 23 the family turns back within 2e-6 of S = 0.015446, and nothing else shows it."""
+    branch = follow_family(Chain(24, 1e-8, 0.25, 1.0), 1, 0.016)
+    fold = branch.special_points[0]
+    for orders in (20, 40, 60):
+        found = branch.series(orders)
+        assert abs(found.radius - fold.solution.S) <= found.radius_error < 0.02 * fold.solution.S
+        assert found.singularity.imag == 0.0
+    assert found.frequency_error(0.014) < 1e-14
+
+
 def test_a_linear_family_converges_everywhere() -> None:
     found = series_of(oscillator(-4 * x, half_period=(-1, -1)), 1, 12)
     assert (found.Omega[0], found.radius, bool(found.frequency_error(100.0) < 1e-14)) == (2.0, np.inf, True)
