@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -50,7 +50,7 @@ from casadi_skin.zero.coordinates import numbered
 from casadi_skin.zero.family import TWO_PI, Method
 from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
 from casadi_skin.zero.orbit import FIRST_INTERVALS, UNFOLDING, Periodic, Sizes
-from casadi_skin.zero.problem import Array, Indices, Problem, Scalar, SingularError
+from casadi_skin.zero.problem import Array, Buffers, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, End, ErrorEstimate, Point, Refinement
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, Closure, closure_of, stated
@@ -207,6 +207,14 @@ MOST_IPOPT_ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may
 OFFSET_FROM_BRANCH_POINT = 1e-3
 
 
+@lru_cache(maxsize=64)
+def _slopes(model: OdeModel) -> tuple[Buffers, tuple[Indices, Indices]]:
+    """df/dx at these places, a function of (t, x, p), and rows and columns of its entries."""
+    slope = model.function("slope", ca.jacobian(model.full_rhs, model.full_state))
+    rows, columns = (np.array(each, dtype=np.int64) for each in slope.sparsity_out(0).get_triplet())
+    return Buffers(slope, PLACES.size), (rows, columns)
+
+
 @dataclass(frozen=True, eq=False)
 class BoundarySpace(ParameterSpace):
     """The solutions of a statement, or the branch of them in one parameter.
@@ -265,24 +273,16 @@ class BoundarySpace(ParameterSpace):
 
     def _faint(self) -> Faint | None:
         """Components of the first orbit that are faint, by its linearisation at both ends of the branch."""
-        from scipy.sparse import csc_matrix
-
         if self.first is None or self.singularity is not None or self.periodic is None:
             return None
         model, (problem, z) = self.statement.model, (self.first.problem, self.first.z)
         values = {**self.statement.values, **dict(zip(model.parameter_names, problem.parameters(z), strict=True))}
-        slope = model.function("slope", ca.jacobian(model.full_rhs, model.full_state))
-        states, size = problem.sample(z, PLACES), model.full_size
-        sizes = np.zeros(slope.nnz_out(0))
+        states, (slopes, places), sizes = problem.sample(z, PLACES), _slopes(model), np.zeros(())
         for value in (self.begins, self.to):
             p = [{**values, self.parameter: value}[name] for name in model.parameter_names]
-            found = np.array(slope(PLACES[None], states.T, p).nonzeros())  # of one place after the other
-            sizes += np.sum(np.abs(found.reshape(PLACES.size, -1)), axis=0)
-        if not np.all(np.isfinite(sizes)):
-            return None
-        strength = csc_matrix((sizes, tuple(map(np.array, slope.sparsity_out(0).get_triplet()))), shape=(size, size))
-        strength.eliminate_zeros()
-        return Faint.of(strength, problem.sizes(z)[:size])
+            found = slopes(PLACES[:, None], states, np.array(p))[0]
+            sizes = sizes + np.abs(found.reshape(PLACES.size, -1)).sum(axis=0)
+        return Faint.of(sizes, places, problem.sizes(z)[: model.full_size]) if np.isfinite(sizes).all() else None
 
     @cached_property
     def levels(self) -> Levels:

@@ -53,8 +53,7 @@ class _BetweenEnds:
         of, n, K, d = problem.formulation, problem.formulation.states, problem.resolution, problem.degree
         own, m = of.integrals, problem.size - problem.states
         conditions, w = int(of.conditions.numel()), n + m + 1
-        compiled = method_of(problem.table) is not None and problem.discretisation.checks is not None
-        if not compiled or n > MOST_STATES or own * m > MOST_SUMS or problem.equations != problem.size - 1:
+        if n > MOST_STATES or own * m > MOST_SUMS or problem.equations != problem.size - 1:
             return None
         scalars, (k, i, j) = (K + 1) * n, np.indices((K, n, w))
         columns = np.where(j == 0, (k + 1) * n + i, np.where(j <= n, k * n + j - 1, scalars + j - 1 - n))
@@ -92,21 +91,20 @@ def step_on_finer(
     Returns:
         The unknowns; None where kernels do not take the equations, or find them singular.
     """
-    known = finer.discretisation.shared
-    if not kernels() or problem.table is not finer.table or problem.size - problem.states != finer.size - finer.states:
+    method, equations = method_of(finer.table), finer.discretisation
+    alike = problem.table is finer.table and problem.size - problem.states == finer.size - finer.states
+    if not (kernels() and alike) or method is None or equations.checks is None:
         return None
-    if "between ends" not in known:
-        known["between ends"] = _BetweenEnds.of(finer)
-    short: _BetweenEnds | None = known["between ends"]
+    short: _BetweenEnds | None = finer.kept("between ends", lambda: _BetweenEnds.of(finer))
     if short is None:
         return None
     n, ends, weights = finer.formulation.states, finer.resolution + 1, problem.metric(z, 1.0)
     weights = np.concatenate([weights[:n] * (problem.columns / ends), weights[problem.states :]])
     given = z[None] if tangent is None else np.array([z, tangent])
     found, memory, at = np.empty(finer.size), memory_of(short.kernel.room), finer.mesh.places
-    by = method_of(finer.table), short.kernel.layout, short.order, short.order.size
+    by = method, short.kernel.layout, short.order, short.order.size
     data = given, len(given), z.size, weights, least, finer.numbers, at.size, at, *finer.formulation.entries, *by
-    equations = finer.discretisation.compiled, *problem.polynomials
-    failed = kernels()["collocation_newton"](*equations, *data, memory, found, np.empty(short.room))
+    results = memory, found, np.empty(short.room)
+    failed = kernels()["collocation_newton"](equations.compiled, *problem.polynomials, *data, *results)
     give_back(memory)
     return None if failed else found

@@ -362,15 +362,20 @@ class Exponents:
     @cached_property
     def pairs(self) -> Indices | None:
         """Places of mu and of 1/mu, shape (m / 2, 2); None where multipliers are not such pairs."""
-        left, found = list(range(self.values.size)), []
+        values, noise, found = self.values.tolist(), self.noise.tolist(), list[tuple[int, int]]()
+        left = list(range(len(values)))
         if len(left) % 2 or abs(self.values.real.sum()) > len(left) * (RECIPROCAL_RTOL + RECIPROCAL_NOISE):
             return None
+
+        def off(k: int, other: int) -> float:
+            total = values[k] + values[other]
+            return math.hypot(total.real, math.remainder(total.imag, FULL_TURN))
+
         while left:
-            k = max(left, key=lambda place: abs(self.values[place].real))
+            k = max(left, key=lambda place: abs(values[place].real))
             left.remove(k)
-            sums = np.abs(turned(self.values[k] + self.values[left]))
-            nearest = left[int(np.argmin(sums))]
-            if np.min(sums) > RECIPROCAL_RTOL + min(self.noise[k] + self.noise[nearest], RECIPROCAL_NOISE):
+            nearest = min(left, key=lambda other: off(k, other))
+            if not off(k, nearest) <= RECIPROCAL_RTOL + min(noise[k] + noise[nearest], RECIPROCAL_NOISE):
                 return None
             left.remove(nearest)
             found.append((k, nearest))
@@ -418,4 +423,4 @@ class Exponents:
 
 def turned(values: ComplexArray, turn: float = FULL_TURN) -> ComplexArray:
     """Logarithms with imaginary parts in [-pi, pi]; eigenvalues, whose turn is infinite, as they are."""
-    return np.asarray(values - 1j * turn * np.rint(values.imag / turn)) if np.isfinite(turn) else values
+    return np.asarray(values - 1j * turn * np.rint(values.imag / turn)) if math.isfinite(turn) else values

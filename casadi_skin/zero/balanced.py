@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.zero.problem import EPSILON, Array
+from casadi_skin.zero.problem import EPSILON, Array, Indices
 
 ComplexArray = NDArray[np.complex128]
 # Of the machine's, in the derivatives: an eigenvalue that is zero comes out as that over its condition.
@@ -162,9 +162,13 @@ def logarithms_of_units(matrix: Any) -> Array:
     """
     if not np.all(np.isfinite(matrix.data)):
         raise ArithmeticError(NOT_FINITE)
-    n, rows = matrix.shape[0], matrix.indices
-    columns = np.repeat(np.arange(n), np.diff(matrix.indptr))
-    sizes, found = np.where(rows == columns, 0.0, np.abs(matrix.data)), np.zeros(n)
+    columns = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    return _logarithms(matrix.indices, columns, matrix.data, matrix.shape[0])
+
+
+def _logarithms(rows: Indices, columns: Indices, entries: Array, n: int) -> Array:
+    """The same of a matrix by its entries."""
+    sizes, found = np.where(rows == columns, 0.0, np.abs(entries)), np.zeros(n)
     for _ in range(BALANCING_ROUNDS):
         now = sizes * np.exp2(found[columns] - found[rows])
         by_row, by_column = np.bincount(rows, now, n), np.bincount(columns, now, n)
@@ -315,14 +319,20 @@ class Faint:
     components: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, strength: Any, sizes: Array) -> Faint | None:
-        """Of the sizes of df/dx, sparse by columns, and those of the components; None where none is faint."""
-        from scipy.sparse.csgraph import connected_components
+    def of(cls, strengths: Array, places: tuple[Indices, Indices], sizes: Array) -> Faint | None:
+        """Of sizes of the entries of df/dx at these rows and columns, and of components; None where none is faint."""
+        rows, columns = places
+        strength: Any
+        if is_mostly_zero(sizes.size, strengths.size):
+            from scipy.sparse import csc_matrix
 
-        _, blocks = connected_components(strength, connection="strong")
-        acting = strength.tocoo()
-        acting.data = np.where(blocks[acting.row] == blocks[acting.col], acting.data, 0.0)
-        units = np.exp2(logarithms_of_units(acting.tocsc()))
+            strength = csc_matrix((strengths, places), shape=(sizes.size, sizes.size))
+        else:
+            strength = np.zeros((sizes.size, sizes.size))
+            strength[places] = strengths
+        blocks = acting_on_each_other(strength)
+        acting = np.where(blocks[rows] == blocks[columns], strengths, 0.0)
+        units = np.exp2(_logarithms(rows, columns, acting, sizes.size))
         found = cls(units, blocks, np.ones(len(units), dtype=bool))
         faint = sizes < FAINT_COMPONENT_RATIO * found.largest(sizes)
         return cls(units, blocks, faint) if faint.any() else None
