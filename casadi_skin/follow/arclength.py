@@ -19,7 +19,7 @@ from casadi_skin.follow.moving import Moving
 from casadi_skin.follow.point import PREDICTING_POINTS, PointSolver, interpolant, predicting, predictor
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
-from casadi_skin.zero.settings import End, Point, Target
+from casadi_skin.zero.settings import LAYER_SPEED_RATIO, End, Point, Target
 
 HELD_BELOW = 0.1  # of a step: shorter ones are taken on a mesh that is held, and sought far from their guess
 START_FRACTION = 1e-3  # of the first point walked: where the family's first point, of tiny amplitude, is placed
@@ -165,8 +165,8 @@ class ArclengthContinuation(Continuation):
             return self._departure(current, problem, held=True) if moving is None else self._moving(moving, weights)
         row = weights * t
         curve = predictor(predicting(points, row, weights), row)
-        layers = current.has_layers if problem is current.problem else problem.has_layers(z)
-        turning = self.settings.layer_angles if layers else 1.0
+        speed = current.speed_ratio if problem is current.problem else problem.speed_ratio(z)
+        turning = self.settings.layer_angles if speed > LAYER_SPEED_RATIO else 1.0
         return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem), turning)
 
     def _moving(self, moving: Moving, weights: Array) -> _Departure:

@@ -18,8 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from casadi_skin.native import Structure, kernels
+from casadi_skin.native.collocation import LAYERS
 from casadi_skin.zero.problem import Array
-from casadi_skin.zero.settings import Point
+from casadi_skin.zero.settings import MOVING_SPEED_RATIO, Point
 
 STRETCH_WEIGHT = 0.1  # of a stretch of an interval by its own length, beside a change of the states by their size
 SHORTEST_LENGTH = 0.2  # of that at the start: down to which the mesh moves
@@ -153,7 +155,7 @@ def beside(problem: Any, z: Array, tangent: Array, step: float) -> tuple[Any, Ar
 
     At places that are held what a layer leaves of the second derivative outweighs such a step.
     """
-    if not (problem.may_move and problem.has_layers(z)):
+    if not (problem.may_move and problem.speed_ratio(z) > MOVING_SPEED_RATIO):
         return problem, z + step * tangent
     change, moved = _drift(problem, z, tangent, problem.metric(z, 1.0))
     return problem.with_constants(problem.constants + step * change), z + step * (tangent + moved)
@@ -164,9 +166,13 @@ def _drift(problem: Any, z: Array, tangent: Array, weights: Array) -> tuple[Arra
 
     v at the edges solves tridiagonal equations; it is 0 at both ends of the interval.
     """
+    K, n = problem.resolution, problem.formulation.states
+    if kernels():
+        change, found, data = np.empty(K), np.zeros(problem.size), (problem.constants, z, weights, tangent)
+        kernels()["drift"](_layers(problem), *data, STRETCH_WEIGHT, change, found, np.empty(3 * K + 3))
+        return change, found
     from scipy.linalg import solveh_banded
 
-    K, n = problem.resolution, problem.formulation.states
     slopes, (after, before) = _slopes(problem, z), _shares(problem)
     w, t = (values[: problem.states].reshape(-1, n) for values in (weights, tangent))
     own, with_t = (np.einsum("ij,ij,ij->i", w, slopes, other)[:-1].reshape(K, -1) for other in (slopes, t))
@@ -179,8 +185,15 @@ def _drift(problem: Any, z: Array, tangent: Array, weights: Array) -> tuple[Arra
     if K > 1:
         bands = np.array([np.append(0.0, (own @ (after * before) - stiff)[1:-1]), diagonal[1:-1]])
         v[1:-1] = solveh_banded(bands, right[1:-1])
-    change = np.diff(v)
-    return change, _shifted(problem, z, change, slopes)
+    return np.diff(v), _shifted(problem, z, np.diff(v))
+
+
+def _layers(problem: Any) -> Structure:
+    """The intervals as kernels take them."""
+    n, K, table = problem.formulation.states, problem.resolution, problem.table
+    data = n, K, table.ends.size, problem.degree, table.ends, np.ascontiguousarray(table.slopes)
+    found: Structure = problem.kept("layers", lambda: Structure(LAYERS, *data))
+    return found
 
 
 def _shares(problem: Any) -> tuple[Array, Array]:
@@ -199,11 +212,14 @@ def _slopes(problem: Any, z: Array) -> Array:
     return found
 
 
-def _shifted(problem: Any, z: Array, change: Array, slopes: Array | None = None) -> Array:
+def _shifted(problem: Any, z: Array, change: Array) -> Array:
     """x' v for the velocity that changes the lengths so, shape (size,)."""
+    found = np.zeros(problem.size)
+    if kernels():
+        kernels()["shifted"](_layers(problem), problem.constants, z, change, found)
+        return found
     after, before = _shares(problem)
     v = np.append(0.0, np.cumsum(change))
     places = np.append(v[:-1, None] * after + v[1:, None] * before, v[-1])
-    found = np.zeros(problem.size)
-    found[: problem.states] = ((_slopes(problem, z) if slopes is None else slopes) * places[:, None]).ravel()
+    found[: problem.states] = (_slopes(problem, z) * places[:, None]).ravel()
     return found

@@ -70,6 +70,8 @@ FUNCTIONS = {
     "collocation_interpolated": "waiaiiawi",
     "collocation_newton": "wwaaiiwraiaaawwwiwww",
     "collocation_density": "waaaarrrww",
+    "shifted": "waaaw",
+    "drift": "waaaarwww",
     "transitions": "iiiiaaiaaaaia",
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",

@@ -13,6 +13,7 @@ INTERVALS = 4 * "i" + 3 * "a"
 UNITS = "iiiaarr"
 NEWTON = "i" + 7 * "r"
 ENDS = ("CONVERGED", "DIVERGED", "TOO_MANY_ITERATIONS", "SINGULAR")  # of Newton's method, as equations.c numbers them
+LAYERS = 4 * "i" + 2 * "a"
 
 
 class CollocationKernel:

@@ -446,7 +446,7 @@ KERNEL(collocation_speed)(const units *u, const double *z, const double *gaps, d
         way = sqrt(way), whole += way;
         most = way / gaps[i] > most ? way / gaps[i] : most;
     }
-    *speed = most / whole;
+    *speed = whole > 0.0 ? most / whole : 0.0;
     return 0;
 }
 

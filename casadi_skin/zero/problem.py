@@ -325,9 +325,9 @@ class Problem(ABC):
         """An order of the unknowns in which factors of the Jacobian are sparse, where they are `in_order`."""
         return np.arange(self.size)
 
-    def has_layers(self, z: Array) -> bool:
-        """Whether the solution has parts in which it goes far faster than elsewhere."""
-        return False
+    def speed_ratio(self, z: Array) -> float:
+        """The largest speed of a solution, of its mean: what it has layers by; 0 where they do not matter."""
+        return 0.0
 
     # Adaptation: where the unknowns of a transcription should lie ------------------------------------
 

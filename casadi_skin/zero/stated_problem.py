@@ -26,7 +26,6 @@ from casadi_skin.zero.discretisation import Formulation, change_of, improved, la
 from casadi_skin.zero.problem import Array, Problem, Scalar, Solve
 from casadi_skin.zero.statement import Statement
 
-LAYER_SPEED_RATIO = 20.0  # of mean speed: Lorenz' cycles and those of an explosive reaction have 15, canards 22 to 160
 LONGEST_CONDITION = 40  # characters of a condition in a message
 PERIOD = "period"  # the free parameter that is the unknown period of an autonomous orbit
 COMPONENT_FLOOR = 1e-3  # of the largest value of a component: what it is measured by at least
@@ -186,15 +185,16 @@ class BoundaryProblem(CollocationEquations):
             weights[: self.states].reshape(self.columns, -1)[:] *= (sizes / faint.measured(sizes)) ** 2
         return weights
 
-    def has_layers(self, z: Array) -> bool:
+    def speed_ratio(self, z: Array) -> float:
         if kernels():
             speed, sizes = np.empty(1), np.empty(self.formulation.states)
             kernels()["collocation_speed"](self.compiled_units, np.ascontiguousarray(z), self.mesh.gaps, sizes, speed)
-            return bool(speed[0] > LAYER_SPEED_RATIO)
+            return float(speed[0])
         values = z[: self.states].reshape(self.columns, -1)
         moves = (values[1:] - values[:-1]) / self._component_sizes(z)
         ways = np.sqrt(np.einsum("ij,ij->i", moves, moves))
-        return bool((ways / self.mesh.gaps).max() > LAYER_SPEED_RATIO * ways.sum())
+        whole = float(ways.sum())
+        return float((ways / self.mesh.gaps).max()) / whole if whole > 0.0 else 0.0
 
     @property
     def may_move(self) -> bool:  # type: ignore[override]
