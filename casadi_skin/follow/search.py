@@ -367,15 +367,15 @@ class ExponentSampler:
         ends = tuple((point, exponents.of_size(self.count)) for point, exponents in ends)
         self.space, self.ends, self.length, self.past = space, ends, length, None
         self._ahead = dict[int, tuple[Exponents, Exponents]]()
-        first, last = ends[0][1].values, ends[-1][1].values
-        places, courses = np.zeros(1), first.real[None]
+        logs = [exponents.values for _, exponents in ends] or [np.empty(0, dtype=complex)]  # of a curve none are known
+        places, courses = np.zeros(1), logs[0].real[None]
         if before is not None and before.ends[-1][0] is ends[0][0]:
             self.past, self._ahead = before.ends[0], before._ahead
             if before.count == self.count:
                 places, courses = before._places[-3:] - before.length, before._courses[-3:]
-        order = nearest_order(last, first)
+        order = nearest_order(logs[-1], logs[0])
         self._places: Array = np.append(places, length)
-        self._courses: Array = np.vstack([courses[:, order], last.real])
+        self._courses: Array = np.vstack([courses[:, order], logs[-1].real])
         known = ends if self.past is None else (self.past, *ends)
         self._known = {id(point): (point, exponents) for point, exponents in known}
         of_size = {place: found for place, found in self._ahead.items() if found[0].values.size == self.count}
