@@ -9,6 +9,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | --- | --- | --- |
 | bordered.c | factors and solutions of bands with borders | `solve.bordered` |
 | collocation.c | factors of collocation equations | `solve.bordered` |
+| dense.c | factors of small matrices | `solve.bordered` |
 | equations.c | collocation equations, and Newton steps on finer meshes | `zero.discretisation`, `solve.levels` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
 | segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
@@ -76,8 +77,10 @@ FUNCTIONS = {
     "stepped": "aiaaiiaaa",
     "segments": "aiaraaaaa",
     "at_places": "w",
-    "rests_along": "aiiraaaaa",
-    "keep_sides": "aiara",
+    "dense_factors": "waaww",
+    "dense_solve": "wwiw",
+    "rests_along": "wiiraawww",
+    "keep_sides": "wiara",
     "invariant": "iiiiiaaaiaaairaa",
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",

@@ -21,10 +21,12 @@ from numpy.typing import NDArray
 
 from casadi_skin.native import MOST, BorderedKernel, Structure, give_back, kernels
 from casadi_skin.native.collocation import CollocationKernel
+from casadi_skin.native.dense import DenseKernel
 from casadi_skin.solve.intervals import MANY_STATES, IntervalFactors
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.half_plane import is_odd
 from casadi_skin.zero.problem import Array, Indices, Problem, SingularError, Solve
+from casadi_skin.zero.rest import Undiscretised
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
 if TYPE_CHECKING:
@@ -34,11 +36,22 @@ if TYPE_CHECKING:
 # Solves with a factorised matrix: a band with its border, or a sparse one by SuperLU ---------------------------------
 
 
-class CompiledFactors:
+class SmallFactors:
     """Solves with factors of a compiled kernel in its memory; `orientation` is the sign of the determinant."""
 
-    def __init__(self, kernel: BorderedKernel | CollocationKernel, memory: Array, orientation: float) -> None:
+    def __init__(
+        self, kernel: BorderedKernel | CollocationKernel | DenseKernel, memory: Array, orientation: float
+    ) -> None:
         self.kernel, self.memory, self.orientation = kernel, memory, orientation
+
+    def __call__(self, b: Array) -> Array:
+        x = np.array(b.T, order="C", ndmin=2)
+        self.kernel.solve(self.memory, x)
+        return x.T.reshape(b.shape)
+
+
+class CompiledFactors(SmallFactors):
+    """The same of large matrices, whose memory is used again."""
 
     def __del__(self) -> None:
         give_back(self.memory)
@@ -47,11 +60,6 @@ class CompiledFactors:
     def compiled(self) -> tuple[Structure, Array]:
         """The layout and the factors, for compiled kernels that solve by themselves."""
         return self.kernel.layout, self.memory
-
-    def __call__(self, b: Array) -> Array:
-        x = np.array(b.T, order="C", ndmin=2)
-        self.kernel.solve(self.memory, x)
-        return x.T.reshape(b.shape)
 
 
 class DenseFactors:
@@ -106,57 +114,6 @@ ACCURATE_RESIDUAL = 1e-9  # residual of a solve, relative to the largest entries
 
 
 @dataclass(frozen=True)
-class _Entries:
-    """Non-zeros of the Jacobian that go to places of an array, both as flat indices."""
-
-    source: Indices
-    target: Indices
-
-
-@dataclass(frozen=True)
-class BandLayout:
-    """Places of the non-zeros of the Jacobian: the band, the columns right of it, the rows below, the corner.
-
-    The border has the diagonal entry's unknown and row first; arrays are transposed, as LAPACK stores them.
-    """
-
-    width: int
-    inside: _Entries
-    right: _Entries
-    below: _Entries
-    corner: _Entries
-
-    @classmethod
-    def of(cls, problem: Problem) -> BandLayout | None:
-        width, n = problem.half_bandwidth, problem.states
-        if width is None or 3 * width >= n:
-            return None
-        rows, columns = problem.pattern
-        edge = problem.size - n + 1
-
-        def entries(chosen: NDArray[np.bool_], target: Indices) -> _Entries:
-            return _Entries(np.flatnonzero(chosen), target[chosen])
-
-        return cls(
-            width,
-            entries((rows < n) & (columns < n), columns * (3 * width + 1) + 2 * width + rows - columns),
-            entries((rows < n) & (columns >= n), (columns - n + 1) * n + rows),
-            entries((rows >= n) & (columns < n), (rows - n + 1) * n + columns),
-            entries((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
-        )
-
-    def kernel(self, problem: Problem) -> BorderedKernel | None:
-        """The compiled kernel of this layout; None where there is none, and where it has no room for the border."""
-        if not kernels() or problem.size - problem.states > MOST:
-            return None
-        parts = self.inside, self.right, self.below, self.corner
-        places = [(part.source, part.target) for part in parts]
-        return BorderedKernel(
-            (problem.states, problem.size, self.width), places, problem.pattern, (SINGULAR_GROWTH, ACCURATE_RESIDUAL)
-        )
-
-
-@dataclass(frozen=True)
 class _Places:
     """The closed matrix: columns in the order of elimination, with the closing row as the last entry of every column.
 
@@ -204,11 +161,10 @@ class BorderedSolver:
     def __init__(self, problem: Problem) -> None:
         self.problem, size = problem, problem.size
         self._last: tuple[Array, Array, Solve] | None = None
-        band = BandLayout.of(problem)
-        self._kernel = None if band is None else band.kernel(problem)
+        self._kernel = _band_kernel(problem)
         self._probes = np.zeros((size, 3))
         self._probes[-1, 0], self._probes[:-1, 1:] = 1.0, problem.probe[:, None]
-        self._collocation = _collocation_kernel(problem)
+        self._collocation, self._dense_kernel = _collocation_kernel(problem), _dense_kernel(problem)
         self._failed = 0
         self._by_intervals: BoundaryProblem | None = None
         if isinstance(problem, BoundaryProblem) and problem.formulation.states >= MANY_STATES:
@@ -238,9 +194,8 @@ class BorderedSolver:
     def _scale(self) -> Array:
         """Factors of the rows that keep those through most unknowns from being pivots, which would fill the factors."""
         scale = np.ones(self.problem.size)
-        scale[self.problem.kept("long rows", lambda: long_rows(self._closed.indices, self.problem.size))] = (
-            LONG_ROW_FACTOR
-        )
+        rows = self.problem.kept("long rows", lambda: long_rows(self._closed.indices, self.problem.size))
+        scale[rows] = LONG_ROW_FACTOR
         return scale
 
     @cached_property
@@ -268,6 +223,9 @@ class BorderedSolver:
             orientation = self._kernel.steps(z[None], nonzeros[None], row[None], x, memory)
             if orientation is not None:
                 return CompiledFactors(self._kernel, memory, float(orientation[0]))
+        dense = None if self._dense_kernel is None else self._dense_kernel.factors(nonzeros, row)
+        if self._dense_kernel is not None and dense is not None:
+            return SmallFactors(self._dense_kernel, *dense)
         condensed = self._condensed(nonzeros, row, z)
         if condensed is not None:
             return condensed
@@ -398,6 +356,25 @@ class BorderedSolver:
         data[places.open], data[places.closing] = nonzeros[places.taken], row[places.order]
 
 
+def _band_kernel(problem: Problem) -> BorderedKernel | None:
+    """The compiled kernel of a band with columns right of it, rows below and a corner, where that has room for these.
+
+    The border has the diagonal entry's unknown and row first; arrays are transposed, as LAPACK stores them.
+    """
+    width, n, size = problem.half_bandwidth, problem.states, problem.size
+    if not kernels() or width is None or 3 * width >= n or size - n > MOST:
+        return None
+    (rows, columns), edge = problem.pattern, size - n + 1
+    parts = (
+        ((rows < n) & (columns < n), columns * (3 * width + 1) + 2 * width + rows - columns),
+        ((rows < n) & (columns >= n), (columns - n + 1) * n + rows),
+        ((rows >= n) & (columns < n), (rows - n + 1) * n + columns),
+        ((rows >= n) & (columns >= n), (rows - n + 1) * edge + columns - n + 1),
+    )
+    places = [(np.flatnonzero(chosen), target[chosen]) for chosen, target in parts]
+    return BorderedKernel((n, size, width), places, problem.pattern, (SINGULAR_GROWTH, ACCURATE_RESIDUAL))
+
+
 def _collocation_kernel(problem: Problem) -> CollocationKernel | None:
     """The compiled kernel of collocation equations with few states, as many as unknowns but one."""
     if not (kernels() and isinstance(problem, CollocationEquations) and problem.equations == problem.size - 1):
@@ -411,6 +388,13 @@ def _collocation_kernel(problem: Problem) -> CollocationKernel | None:
         "collocation", lambda: CollocationKernel(sizes, counts, problem.pattern, limits, problem.probe)
     )
     return found
+
+
+def _dense_kernel(problem: Problem) -> DenseKernel | None:
+    """The compiled kernel of a few equations that are not discretised, whose unknowns are of size 1."""
+    if not (kernels() and isinstance(problem, Undiscretised) and problem.size <= DENSE_UNKNOWNS):
+        return None
+    return DenseKernel(problem.pattern, (SINGULAR_GROWTH, ACCURATE_RESIDUAL), problem.probe)
 
 
 def long_rows(rows: NDArray[np.integer[Any]], size: int) -> Indices:

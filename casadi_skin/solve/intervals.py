@@ -59,13 +59,8 @@ class _Part:
         order = np.lexsort(places)
         rows, columns = (each[order] for each in places)
         source = np.stack([each[order].astype(np.int32) for each in chosen])
-        return cls(
-            source,
-            rows,
-            columns,
-            np.searchsorted(columns, np.arange(size + 1)),
-            (components[0][order], components[1][order]),
-        )
+        bounds = np.searchsorted(columns, np.arange(size + 1))
+        return cls(source, rows, columns, bounds, (components[0][order], components[1][order]))
 
 
 class IntervalLayout:

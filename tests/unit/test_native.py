@@ -28,6 +28,7 @@ from casadi_skin.model import operations
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.native import orbits
+from casadi_skin.native.dense import DenseKernel
 from casadi_skin.optimise.kick_flow import ChainForce
 from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
 from casadi_skin.stability.closed_maps import Multipliers, Spectrum, Trivial, multipliers_along
@@ -427,3 +428,30 @@ def test_a_wheel_has_kernels_where_there_is_a_compiler(compiler: str, tag: str, 
         cwd=tmp_path, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert f"kernels: {words}" in done.stdout
+
+
+@needs_kernels
+@pytest.mark.parametrize("size", [2, 3, 8, 24])
+def test_factors_of_small_matrices_are_those_of_numpy(size: int) -> None:
+    """Solutions, signs of determinants, and which are singular but for rounding, in any units of the equations."""
+    random, signs = np.random.default_rng(size), set[float]()
+    for _ in range(30):
+        full = random.normal(size=(size, size)) * 10.0 ** random.uniform(-3.0, 3.0, (size, 1))
+        full[:-1][random.random((size - 1, size)) < 0.3] = 0.0
+        columns, rows = (places.astype(np.int32) for places in np.nonzero(full[:-1].T))
+        kernel = DenseKernel((rows, columns), (1e12, 1e-9), np.cos(np.arange(size - 1.0)))
+        found = kernel.factors(full[rows, columns], full[-1])
+        if np.linalg.cond(full / np.abs(full).max(axis=1)[:, None].clip(1e-300)) > 1e6:
+            continue
+        assert found is not None
+        memory, sign = found
+        b = random.normal(size=(3, size))
+        known = np.linalg.solve(full, b.T).T
+        kernel.solve(memory, b)
+        np.testing.assert_allclose(b, known, rtol=0, atol=1e-9 * np.abs(known).max())
+        assert sign == np.linalg.slogdet(full)[0]
+        signs.add(sign)
+        full[-1] = np.linalg.norm(full[-1]) * np.linalg.qr(full[:-1].T)[0] @ random.normal(size=size - 1)
+        assert kernel.factors(full[rows, columns], full[-1]) is None
+        assert kernel.factors(np.where(rows == 0, np.nan, full[rows, columns]), full[-1]) is None
+    assert signs == {-1.0, 1.0}
