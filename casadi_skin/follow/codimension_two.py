@@ -346,8 +346,8 @@ class OrbitCurveSearch(CurveSearch):
     def __init__(self, space: Followed, before: Point, after: Point) -> None:
         super().__init__(space, ORBIT_CURVES, before, after)
         self.has_coefficient, self.meeting_distance = space.stability_included, MEETING_DISTANCE
-        ends = [(end, space.floquet(end).exponents) for end in self.ends] if self.has_coefficient else []
-        self.sampler = ExponentSampler(space, *ends)
+        if self.has_coefficient:
+            self.sampler = ExponentSampler(space, *((end, space.floquet(end).exponents) for end in self.ends))
 
     def symmetric_ratio(self, point: Point) -> float:
         return max(SYMMETRIC_TERM_RATIO, 100.0 * point.error.profile)
