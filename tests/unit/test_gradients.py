@@ -225,9 +225,10 @@ def test_a_torus_and_a_branch_point_of_cycles_move_as_in_closed_form() -> None:
 
 
 def langford(**given: float) -> Any:
-    """The torus of Langford's equations in rho."""
+    """The torus of Langford's equations in rho, which are not symmetric under rotations."""
     x, y, z, rho, c, w = symbols("x y z rho c w")
-    rhs = [(z - c) * x - w * y, w * x + (z - c) * y, 0.6 + z - z**3 / 3 - (x**2 + y**2) * (1 + rho * z)]
+    slow = 0.6 + z - z**3 / 3 - (x**2 + y**2) * (1 + rho * z) + 0.1 * z * x**3
+    rhs = [(z - c) * x - w * y + 0.1 * z**2, w * x + (z - c) * y, slow]
     model = OdeModel("Langford", ca.vertcat(x, y, z), ca.vertcat(*rhs), ca.vertcat(rho, c, w))
     guess = lambda t: [0.7 * np.cos(3.5 * t), 0.7 * np.sin(3.5 * t), 0.7]  # noqa: E731
     values = {"rho": 0.3, "c": 0.7, "w": 3.5, **given}
@@ -366,27 +367,46 @@ def test_maps_have_the_derivatives_of_what_is_located(tmp_path: Path) -> None:
 # Quantities of solutions ----------------------------------------------------------------------------------------------
 
 
-def test_the_period_of_a_pendulum_is_that_of_elliptic_integrals() -> None:
-    """T = 4 K(m) / sqrt(w), m = sin^2(q/2), at an amplitude q that `select` holds; at S = q^2 of its family too."""
+def pendulum(amplitude: float, tolerance: float, **method: Any) -> tuple[Any, dict[str, float]]:
+    """An orbit of a pendulum with the amplitude `size`, and its dT/dw and dT/dsize by elliptic integrals.
+
+    T = 4 K(m) / sqrt(w), m = sin^2(size/2).
+    """
     mpmath = pytest.importorskip("mpmath")
-    q, v, w, size = symbols("q v w size")
-    model = OdeModel("pendulum", ca.vertcat(q, v), ca.vertcat(v, -w * ca.sin(q)), ca.vertcat(w, size),
-                     hamiltonian=v**2 / 2 - w * ca.cos(q))  # fmt: skip
-    orbit = find_orbit(
-        model, lambda t: [1.2 * np.cos(1.3 * t), -1.56 * np.sin(1.3 * t)], 2 * np.pi / 1.3,
-        parameters={"w": 2.0, "size": 1.2}, select=q - size, section=v, tolerance=1e-11,
-    )  # fmt: skip
     mpmath.mp.dps = 40
-    period = lambda w, size: 4 * mpmath.ellipk(mpmath.sin(size / 2) ** 2) / mpmath.sqrt(w)  # noqa: E731
-    at = mpmath.mpf(2), mpmath.mpf("1.2")
+    q, v, w, size = symbols("q v w size")
+    rhs = ca.vertcat(v, -w * ca.sin(q))
+    energy = v**2 / 2 - w * ca.cos(q)
+    model = OdeModel("pendulum", ca.vertcat(q, v), rhs, ca.vertcat(w, size), hamiltonian=energy)
+
+    def period(w: Any, size: Any) -> Any:
+        return 4 * mpmath.ellipk(mpmath.sin(size / 2) ** 2) / mpmath.sqrt(w)
+
+    values = {"w": 2.0, "size": amplitude}
+    settled = simulate(model, [amplitude, 0.0], np.linspace(0.0, float(period(2.0, amplitude)), 401), parameters=values)
+    orbit = find_orbit(
+        model, settled, settled.t[-1], parameters=values, select=q - size, section=v, tolerance=tolerance, **method
+    )
+    at = mpmath.mpf(2), mpmath.mpf(amplitude)
     exact = [float(mpmath.diff(period, at, order)) for order in ((1, 0), (0, 1))]
-    is_close(orbit.gradient("period"), dict(zip(("w", "size"), exact, strict=True)), largest=1e-10)
+    return orbit, dict(zip(("w", "size"), exact, strict=True))
+
+
+def test_the_period_of_a_pendulum_is_that_of_elliptic_integrals() -> None:
+    """At an amplitude that `select` holds; at a fixed period the amplitude is what moves, dq/dw = -T_w / T_q."""
+    orbit, exact = pendulum(1.2, 1e-11)
+    is_close(orbit.gradient("period"), exact, largest=1e-10)
     is_close(orbit.gradient("energy"), {"w": -np.cos(1.2), "size": 2.0 * np.sin(1.2)}, largest=1e-10)
     is_close(orbit.gradient("q_max"), {"w": 0.0, "size": 1.0}, largest=1e-10)
     is_close(orbit.gradient("q_min"), {"w": 0.0, "size": -1.0}, largest=1e-10)
-    # At a fixed period the amplitude is what moves: dq/dw = -T_w / T_q.
-    held = orbit.gradient("q_max", fixed="period")
-    assert held["w"] == pytest.approx(-exact[0] / exact[1], rel=1e-10)
+    assert orbit.gradient("q_max", fixed="period")["w"] == pytest.approx(-exact["w"] / exact["size"], rel=1e-10)
+
+
+def test_errors_of_coarse_meshes_are_never_below_the_truth() -> None:
+    for amplitude in (0.5, 2.0, 3.0):
+        for tolerance, degree in ((1e-2, 2), (1e-4, 3), (1e-6, 4)):
+            orbit, exact = pendulum(amplitude, tolerance, degree=degree)
+            is_close(orbit.gradient("period"), exact, largest=1.0)
 
 
 def test_quantities_of_a_limit_cycle_are_those_of_differences() -> None:
