@@ -514,7 +514,9 @@ def _multiplier(solution: Solution) -> Target:
         left, way = np.zeros(problem.equations, dtype=left.dtype), np.append(v * sizes, np.zeros(z.size - k))
         left[: k - n] = psi.conj()[: k - n] / sizes[n:]
         turned = np.conj(mu) / abs(mu) / product
-        by_z, by_c = ((turned * part).real for part in Equations.of(problem).of_pair(z, left, way))
+        equations = Equations.of(problem)
+        by_z, by_c = ((turned * part).real for part in equations.of_pair(z, left, way))
+        by_c[list(equations.by_switching(z))] = np.nan  # how the maps change with the mesh is not known
         return float(abs(mu)), by_z, by_c
 
     return target

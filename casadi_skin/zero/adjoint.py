@@ -16,6 +16,7 @@ first derivatives. A simple eigenvalue or multiplier of the linearisation has th
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,12 +31,14 @@ from casadi_skin.model.pickled import programs_in
 from casadi_skin.zero.augmented import Augmented
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.linearised import by_parts
+from casadi_skin.zero.mesh import Mesh, with_edges
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 
 # Of the sizes of unknowns: that of differences of a program's derivatives, with steps h and 2 h; rounding and h^4 meet.
 DIFFERENCE_STEP = EPSILON**0.2
+SWITCHING_STEP = 1e-4  # of a parameter that moves the times at which the field switches, likewise
 Pulled = tuple[Array, Array]  # derivatives of a scalar by the unknowns, shape (size,), and by the parameters
 
 
@@ -122,6 +125,10 @@ class Equations:
         """Derivatives of weights^T x' at the start of the interval by the parameters."""
         raise NotImplementedError
 
+    def by_switching(self, z: Array) -> dict[int, Array]:
+        """Derivatives of all equations by parameters, by place, that move the times at which the field switches."""
+        return {}
+
     def of_pair(self, z: Array, left: Any, way: Any) -> tuple[Any, Any]:
         """The same of complex vectors."""
         size = z.size
@@ -199,6 +206,27 @@ class OfCollocation(Equations):
         of = self.problem.discretisation
         return csc_matrix((of(z, self.problem.numbers)[1], (of.rows, of.columns)), shape=(of.equations, z.size))
 
+    def by_switching(self, z: Array) -> dict[int, Array]:
+        """By differences on meshes whose edges move along: at a held mesh such a parameter does nothing."""
+        statement, found = self.problem.statement, dict[int, Array]()
+
+        def residual(name: str, step: float) -> Array:
+            other = copy.copy(self.problem)
+            other.__dict__.pop("numbers", None)
+            other.statement = statement.with_parameters(**{name: statement.values[name] + step})
+            other.values = other.statement.constants(other.walking, other.end)
+            lengths = with_edges(self.problem.constants, other.statement.switching)
+            other.mesh = Mesh(lengths, self.problem.table.ends)
+            return other.evaluate(z)[0].copy()
+
+        for place, name in enumerate(self.names if statement.switching.size else ()):
+            h = SWITCHING_STEP * (abs(statement.values[name]) or 1.0)
+            moved = statement.with_parameters(**{name: statement.values[name] + h}).switching
+            if not np.array_equal(moved, statement.switching):
+                a, b, c, d = (residual(name, k * h) for k in (1.0, -1.0, 2.0, -2.0))
+                found[place] = (8.0 * (a - b) - (c - d)) / (12.0 * h)
+        return found
+
     def at_start(self, z: Array, weights: Array) -> Array:
         f, n = self.problem.formulation, self.problem.formulation.states
         found = _of_formulation(f, "field", False, 1)(0.0, z[:n], *self.problem.repeated(z, 1), weights)
@@ -251,10 +279,10 @@ def _conditions(equations: Equations, z: Array) -> tuple[list[Array], list[Array
             slopes, more = problem.further_slopes(z, psi[:, None], v)[0], np.zeros(len(equations.names))
             if problem.singularity.autonomous:
                 more = equations.at_start(z, problem.velocity_weights(psi[:, None], v)[0])
-            for copy in range(copies):
+            for k in range(copies):
                 left, way = np.zeros(problem.equations), np.zeros(z.size)
-                left[:rows] = psi[copy * rows :][:rows]
-                way[:width] = v[copy * width :][:width]
+                left[:rows] = psi[k * rows :][:rows]
+                way[:width] = v[k * width :][:width]
                 own, others = equations.pulled(z, left, way)
                 slopes, more = slopes - own / rate, more - others / rate
             by_z.append(slopes)
@@ -306,7 +334,10 @@ def derivatives(
         raise SingularError("the solution is not regular")
     own = scaled.shape[0] - len(more)
     found = np.array([equations.pulled(z, one[:own])[1] for one in left.T])
-    return np.asarray(by_c - found - (left[own:].T @ np.array(more) if more else 0.0))
+    found = found + (left[own:].T @ np.array(more) if more else 0.0)
+    for place, column in equations.by_switching(z).items():
+        found[:, place] = left.T @ column
+    return np.asarray(by_c - found)
 
 
 def _rounding(problem: Any) -> float:

@@ -13,7 +13,7 @@ from critical_models import across_circle, cycles_with_fold
 from equilibrium_models import ab, symbols
 from outputs import read_rows
 from programs import Program
-from small_models import limit_cycle
+from small_models import forced_orbit, limit_cycle
 
 from casadi_skin import (
     BoundaryValueProblem,
@@ -25,6 +25,7 @@ from casadi_skin import (
     run_map,
     simulate,
 )
+from casadi_skin.results.quantities import extremes
 from casadi_skin.runs.program import main
 
 
@@ -478,6 +479,46 @@ def test_a_fold_of_a_family_scales_with_the_cubic_force() -> None:
     assert fold.kind == "fold"
     assert list(found) == ["alpha", "gamma", "g"]
     assert abs(found["g"] - fold.parameters["S"]) <= found.errors["g"] + fold.error < 1e-9
+
+
+def test_a_parameter_that_moves_the_time_of_a_switch_moves_the_orbit() -> None:
+    """x' = a u - x, u = 1 up to t = d of a period 1: x(0) = a (e^(d - 1) - e^-1)/(1 - e^-1)."""
+    x, d, a, t = symbols("x d a t")
+    rhs = a * ca.if_else(ca.fmod(t, 1.0) < d, 1.0, 0.0) - x
+    model = OdeModel("square wave", x, rhs, ca.vertcat(d, a), time=t, forcing_period=1.0)
+    orbit = find_orbit(model, [0.3], parameters={"d": 0.4, "a": 1.0}, tolerance=1e-10)
+    start, by_d = (np.exp(-0.6) - np.exp(-1.0)) / (1.0 - np.exp(-1.0)), np.exp(-0.6) / (1.0 - np.exp(-1.0))
+    is_close(orbit.gradient("x"), {"d": by_d, "a": start}, largest=1e-10)
+    top = 1.0 - (1.0 - start) * np.exp(-0.4)
+    is_close(orbit.gradient("x_max"), {"d": (1.0 - start + by_d) * np.exp(-0.4), "a": top}, largest=1e-10)
+    assert np.isnan(orbit.gradient("max_abs_multiplier")["d"])
+
+
+@pytest.mark.slow
+def test_quantities_of_forced_and_symmetric_orbits_are_those_of_differences() -> None:
+    response = forced_orbit()
+
+    def largest(omega: float) -> float:
+        guess = lambda t: response.evaluate(t * omega / 1.2)  # noqa: E731
+        return float(extremes(find_orbit(response.model, guess, parameters={"omega": omega}, tolerance=1e-11))[1][0])
+
+    found = response.gradient("q_max")
+    known = by_differences(lambda omega: largest(omega), {"omega": 1.2}, "omega", 2e-3)
+    assert found.value == pytest.approx(largest(1.2), abs=1e-9)
+    assert found["omega"] == pytest.approx(known, rel=1e-6)
+    x, u, k, size = symbols("x u k size")
+    model = OdeModel("well", x, -x - k * x**2, ca.vertcat(k, size), 2, u, reversal=(1, -1))
+    guess = lambda t: [0.3 * np.cos(t), -0.3 * np.sin(t)]  # noqa: E731
+    options = {"select": x - size, "symmetric": True, "tolerance": 1e-11}
+    values = {"k": 0.5, "size": 0.3}
+    orbit = find_orbit(model, guess, 2 * np.pi, parameters=values, **options)
+
+    def smallest(**given: float) -> float:
+        return float(extremes(find_orbit(model, guess, 2 * np.pi, parameters=given, **options))[0][0])
+
+    for name in values:
+        known = by_differences(smallest, values, name, 2e-3)
+        assert orbit.gradient("x_min")[name] == pytest.approx(known, rel=1e-8)
 
 
 def test_what_is_no_quantity_is_refused() -> None:
