@@ -25,7 +25,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, ORBITS
 from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, Located, SpecialPoint, locate, locate_rest
 from casadi_skin.model.amplitude import amplitude_square
-from casadi_skin.model.arguments import accepted_names, by_name, with_error
+from casadi_skin.model.arguments import accepted_names, check_name, with_error
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.edges import EdgeProblem, edge_problem, parameters_of
@@ -94,33 +94,30 @@ class Gradient(Result, Mapping[str, float]):
             sqrt(g^T C g), in units of the value.
 
         Raises:
-            ValueError, TypeError: the argument is neither.
+            ValueError: the argument is neither.
         """
-        names, g = list(self.slopes), np.array(list(self.slopes.values()))
+        g = np.array(list(self.slopes.values()))
         if isinstance(covariance, Mapping):
-            given = by_name("covariance", covariance, "standard deviations")
-            for name in given:
-                if name not in self.slopes:
-                    raise ValueError(f"covariance: given {name}; {accepted_names(name, names)}")
-            deviations = [(self.slopes[name], float(value)) for name, value in given.items()]
-            if not all(value >= 0.0 for _, value in deviations):
-                raise ValueError("covariance: given a standard deviation below 0; accepted: numbers >= 0")
-            return float(np.sqrt(sum((slope * value) ** 2 for slope, value in deviations if value > 0.0)))
+            for name in covariance:
+                check_name("covariance", name, self.slopes)
+            covariance = np.diag([float(covariance.get(name, 0.0)) ** 2 for name in self.slopes])
         C = np.asarray(covariance, dtype=float)
         if C.shape != (g.size, g.size) or not np.allclose(C, C.T):
             accepted = f"a symmetric matrix of shape ({g.size}, {g.size}), or standard deviations by name"
             raise ValueError(f"covariance: given shape {C.shape}; accepted: {accepted}")
-        return float(np.sqrt(g @ C @ g))
+        varies = np.any(C != 0.0, axis=0)  # derivatives by others may be none
+        return float(np.sqrt(g[varies] @ C[np.ix_(varies, varies)] @ g[varies]))
 
 
 @in_turn
-def gradient(point: SpecialPoint) -> Gradient:
+def gradient(point: SpecialPoint, *, errors: bool = True) -> Gradient:
     """The derivatives of the located value of a special point by all other parameters, the point staying one.
 
     Arguments:
         point: a fold, a Hopf point or a branch point of equilibria; of orbits and boundary-value problems a fold, a
             period doubling, a torus or a branch point, and the Hopf point or the homoclinic or heteroclinic orbit at
             which a branch ends; of a family a fold, or the edge of a tongue (`Branch.edge`).
+        errors: whether errors are estimated, which takes most of the time; they are infinite without.
 
     Returns:
         {parameter: derivative} with `errors`; NaN by a parameter that makes a branch point none.
@@ -147,7 +144,7 @@ def gradient(point: SpecialPoint) -> Gradient:
     equations = Equations.of(at.problem)
     names = [known for known in equations.names if known in point.parameters and known not in equations.unknowns()]
     pushed = at.problem.added_index if point.kind == BRANCH_POINT else None
-    found = _with_errors(target, (at.problem, at.z), finer, names, pushed)
+    found = _with_errors(target, (at.problem, at.z), finer, names, pushed, errors)
     return Gradient(f"{name} at the {point.kind}", value, *found, held)
 
 
@@ -237,7 +234,7 @@ def _of_edge(point: SpecialPoint) -> Gradient:
 
 
 @in_turn
-def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None) -> Gradient:
+def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, errors: bool = True) -> Gradient:
     """The derivatives of a quantity of a solution by all parameters that it was solved at.
 
     Arguments:
@@ -249,6 +246,7 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None) 
             start, as `monitors` of `follow` are.
         fixed: "period" or "frequency", as in `follow`: what keeps its value in place of what picks the orbit from
             its family.
+        errors: as in `gradient`.
 
     Returns:
         {parameter: derivative} with `errors`: each with all other parameters held.
@@ -276,9 +274,9 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None) 
     free = set(space.free)
     names = [name for name in space.model.parameter_names if name not in free]
     at = problem, _polished(problem, point.z, 1)
-    values, errors = _with_errors(target, at, finer, names)
+    found = _with_errors(target, at, finer, names, errors=errors)
     picked = "" if fixed is None else f", and the {fixed}"
-    return Gradient(words, target(*at)[0], values, errors, f"all other parameters{picked}")
+    return Gradient(words, target(*at)[0], *found, f"all other parameters{picked}")
 
 
 @in_turn
@@ -297,7 +295,7 @@ def _polished(problem: Problem, z: Array, steps: int) -> Array:
 
 def _with_errors(
     target: Target, at: tuple[Any, Array], finer: tuple[Any, Array] | None, names: Sequence[str],
-    pushed: int | None = None,
+    pushed: int | None = None, errors: bool = True,
 ) -> tuple[dict[str, float], dict[str, float]]:  # fmt: skip
     """Derivatives of a target by the named parameters, of the finer mesh where there is one, and their errors."""
 
@@ -313,10 +311,13 @@ def _with_errors(
 
     own = best = found(*at)
     problem, z = at
+    if not errors and pushed is None:  # what unfolds a branch point is seen by errors alone
+        return dict(zip(names, own[0].tolist(), strict=True)), dict.fromkeys(names, np.inf)
     if finer is not None:
         problem, z = finer[0], _polished(*finer, 2)
         best = found(problem, z)
-    off, generator = np.abs(best - own), np.random.default_rng(0)
+    alone = finer is None and not isinstance(problem, AlgebraicProblem)  # on the finest mesh that there is
+    off, generator = np.abs(best - own) + (np.inf if alone else 0.0), np.random.default_rng(0)
     if not Equations.of(problem).exact:
         off = off + np.abs(found(problem, z, WIDER_DIFFERENCES) - best)
     solve = BorderedSolver.of(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
@@ -326,10 +327,10 @@ def _with_errors(
         moved = z - solve(np.append(signs * rounding, 0.0))
         probes.append(found(problem, moved, noise=generator) - best)
     spread = np.sqrt(np.mean(np.array(probes) ** 2, axis=0))
-    errors, values = (off + ROUNDING_DEVIATIONS * spread + EPSILON * np.abs(best))[0], best[0]
+    estimate, values = (off + ROUNDING_DEVIATIONS * spread + EPSILON * np.abs(best))[0], best[0]
     if pushed is not None:
         values = np.where(np.abs(best[1]) > UNFOLDING_DEVIATIONS * spread[1], np.nan, values)
-    return dict(zip(names, values.tolist(), strict=True)), dict(zip(names, errors.tolist(), strict=True))
+    return dict(zip(names, values.tolist(), strict=True)), dict(zip(names, estimate.tolist(), strict=True))
 
 
 # Quantities: their values and derivatives by the unknowns and by the parameters ---------------------------------------

@@ -20,7 +20,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -73,7 +73,16 @@ def _of_rest(model: OdeModel, second: bool) -> ca.Function:
 class Equations:
     """The own equations of a problem, those of a special solution without G, by the unknowns and the parameters.
 
-    `widening` is that of the steps of differences, for their errors.
+    Attributes:
+        problem: an `AlgebraicProblem` or a `BoundaryProblem`.
+        widening: of the steps of differences, for their errors.
+        names: of the parameters.
+        exact: whether second derivatives are no differences.
+        unknowns: parameters by name that are found with the solution: their places among the unknowns, and how fast
+            they change with these.
+        lengths: function of z: scales of the unknowns.
+        matrix: likewise, F_z, sparse, shape (equations, size).
+        at_start: function of z and weights: derivatives of weights^T x' at the start by the parameters.
     """
 
     problem: Any
@@ -86,44 +95,20 @@ class Equations:
             return OfRest(problem, widening)
         return OfCollocation(stated(problem), widening)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        raise NotImplementedError
+    if TYPE_CHECKING:  # of each kind
 
-    @property
-    def exact(self) -> bool:
-        """Whether second derivatives are no differences."""
-        raise NotImplementedError
-
-    def unknowns(self) -> dict[str, tuple[int, float]]:
-        """Places of the parameters that are found with the solution, and how fast they change with the unknown."""
-        raise NotImplementedError
-
-    def lengths(self, z: Array) -> Array:
-        """Scales of the unknowns."""
-        raise NotImplementedError
-
-    def matrix(self, z: Array) -> Any:
-        """F_z, sparse, shape (equations, size)."""
-        raise NotImplementedError
-
-    def _pulled(self, z: Array, left: Array, way: Array | None) -> Pulled:
-        raise NotImplementedError
+        def __getattr__(self, name: str) -> Any: ...
 
     def pulled(self, z: Array, left: Array, way: Array | None = None) -> Pulled:
         """The gradient of left^T F, of the terms that are not linear alone; or of left^T F_z way, of all."""
         if way is None or self.exact:
-            return self._pulled(z, left, way)
+            found: Pulled = self._pulled(z, left, way)
+            return found
         largest = float(np.max(np.abs(way) / self.lengths(z)))
         h = self.widening * DIFFERENCE_STEP / max(largest, 1e-300)
-        found = [self._pulled(z + k * h * way, left, None) for k in (1.0, -1.0, 2.0, -2.0)]
-        by_z, by_c = ((8.0 * (a - b) - (c - d)) / (12.0 * h) for a, b, c, d in zip(*found, strict=True))
+        beside = [self._pulled(z + k * h * way, left, None) for k in (1.0, -1.0, 2.0, -2.0)]
+        by_z, by_c = ((8.0 * (a - b) - (c - d)) / (12.0 * h) for a, b, c, d in zip(*beside, strict=True))
         return by_z, by_c
-
-    def at_start(self, z: Array, weights: Array) -> Array:
-        """Derivatives of weights^T x' at the start of the interval by the parameters."""
-        raise NotImplementedError
 
     def by_switching(self, z: Array) -> dict[int, Array]:
         """Derivatives of all equations by parameters, by place, that move the times at which the field switches."""

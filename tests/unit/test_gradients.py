@@ -69,6 +69,9 @@ def test_the_hopf_point_of_lorenz_equations_moves_as_in_closed_form() -> None:
     is_close(found, LORENZ, largest=1e-11)
     assert found.held == "all parameters but r, and the kind of the point"
     assert found.value == pytest.approx(24.736842105263158, abs=1e-12)
+    alone = lorenz().gradient(errors=False)
+    assert dict(alone) == pytest.approx(LORENZ, rel=1e-12)
+    assert list(alone.errors.values()) == [np.inf, np.inf]
 
 
 def test_units_of_states_and_parameters_do_not_matter() -> None:
@@ -84,7 +87,7 @@ def test_the_spread_is_that_of_the_gradient() -> None:
     assert lorenz().spread(np.diag([0.01, 1e-4])) == pytest.approx(known, rel=1e-12)
     both = np.array([[0.01, 1e-3], [1e-3, 1e-4]])  # fully correlated: deviations add
     assert found.spread(both) == pytest.approx(0.1 * LORENZ["sigma"] + 0.01 * LORENZ["beta"], rel=1e-12)
-    with pytest.raises(ValueError, match="covariance: given rho"):
+    with pytest.raises(ValueError, match="covariance: given 'rho'"):
         found.spread({"rho": 1.0})
     with pytest.raises(ValueError, match=r"accepted: a symmetric matrix of shape \(2, 2\)"):
         found.spread(np.eye(3))
