@@ -67,12 +67,6 @@ def frequency_slope(sites: int, alpha: float, gamma: float, g: float, mode: int)
     return float(3.0 * g * ratio / (4.0 * (sites + 1) * omega))
 
 
-def frequency(sites: int, alpha: float, gamma: float, g: float, mode: int, S: ArrayLike) -> Array:
-    """Nonlinear frequency Omega_j(S) to first order in S = ||y||^2; shape of `S`."""
-    omega = np.sqrt(squared_frequency(sites, alpha, gamma, mode))
-    return np.asarray(omega + frequency_slope(sites, alpha, gamma, g, mode) * np.asarray(S, dtype=float))
-
-
 # The chain of one site: y'' + omega^2 y + g y^3 = 0, solved by Jacobi elliptic functions (DLMF 22.2, 19.2) ------------
 
 

@@ -102,11 +102,8 @@ def _(result: FamilySeries) -> words.Shown:
     rows += [("digits", f"{result.digits[-1]:.1f} of order {result.order}")]
     rows += [("radius in S", with_error(result.radius, result.radius_error))]
 
-    def draw(axes: Axes) -> None:
-        draw_series(axes, result)
-
-    title = f"Omega of mode {result.mode} in powers of {result.variable}"
-    return words.Shown(title, rows, draw, "power series of a family", lambda: series_columns(result))
+    title, meaning = f"Omega of mode {result.mode} in powers of {result.variable}", "power series of a family"
+    return words.Shown(title, rows, lambda axes: draw_series(axes, result), meaning, lambda: series_columns(result))
 
 
 # Proofs ---------------------------------------------------------------------------------------------------------------

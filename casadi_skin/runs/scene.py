@@ -41,7 +41,6 @@ Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 Samples = Annotated[int, Meta(ge=2, le=1_000_000)]
 Thousands = Annotated[int, Meta(ge=1, le=1000)]
-Orders = Annotated[int, Meta(ge=1, le=200)]  # the same as in follow.family_series, which loads numerics
 Intervals = Annotated[int, Meta(ge=1, le=1500)]  # the same as in zero.family, which loads numerics
 Cells = Annotated[int, Meta(ge=1, le=MOST_CELLS)]
 CellsAlong = Annotated[int, Meta(ge=1, le=1_000_000_000_000)] | Infinite
@@ -277,7 +276,7 @@ class FamilyTable(Table, frozen=True):
     at_period: tuple[Positive, ...] = ()
     period_max: Positive | None = None
     max_points: Count = 2000
-    series: Orders | None = None
+    series: Annotated[int, Meta(ge=1, le=200)] | None = None  # as in follow.family_series, which loads numerics
     film: bool = False
 
 

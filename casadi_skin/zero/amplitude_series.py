@@ -82,12 +82,11 @@ def _series(
     to_cosines = (to_nodes * np.where(m == 0, 1.0, 2.0)[:, None] / count).T
     first = int(np.argmax(m == 1))
 
+    (linear,) = (term for term in form.force if (term.power, term.degree) == (0, 1))
     (quadratic,) = (term for term in form.norm if term.degree == 2)
+    J = _matrix(linear.coefficients, linear.rows, linear.factors[0], n)
     half = _matrix(quadratic.coefficients, quadratic.factors[0], quadratic.factors[1], n)
-    A, J = half + half.T, _matrix(np.zeros(0), [], [], n)
-    for term in form.force:
-        if (term.power, term.degree) == (0, 1):
-            J = J + _matrix(term.coefficients, term.rows, term.factors[0], n)
+    A = half + half.T
 
     c, values, at_zero = (np.zeros((orders + 1, *shape)) for shape in ((n, count), (n * count,), (n,)))
     force, sigma = SumOfTerms(form.force, values, n, count), np.zeros(orders + 1)

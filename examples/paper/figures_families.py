@@ -164,7 +164,8 @@ def theory_figure(data: PaperData) -> Drawn:
         paths, rows = [], []
         for (mode, branch), colour, dashes in zip(data.hardening.items(), colours(len(branches)), DASHES, strict=True):
             path = family_path(branch, False)
-            theory = multiple_scales.frequency(chain.sites, chain.alpha, chain.gamma, chain.g, mode, path[:, 0])
+            slope = multiple_scales.frequency_slope(chain.sites, chain.alpha, chain.gamma, chain.g, mode)
+            theory = branch.start.Omega + slope * path[:, 0]
             left.plot(*path.T, color=colour, lw=3.5, alpha=0.55)
             left.plot(path[:, 0], theory, color="black", lw=1.0, ls=dashes)
             shifts = np.array([orbit.Omega_shift for orbit in branch.orbits])
