@@ -85,7 +85,6 @@ FUNCTIONS = {
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
     "interval_maps": "aiiaaaaa",
-    "changes": "iiiaara",
     "multipliers": "iiiiiriaaaaaaa",
     "orbit_multipliers": "waaiw",
     "orbit_multipliers_by_parts": "wwaaaaiiww",
@@ -493,17 +492,6 @@ def interval_maps(method: Structure, lengths: Array, jacobians: Array) -> tuple[
     memory = np.empty(LANES * ((d * n) ** 2 + (3 * d + 2) * n * n) + (d * n) ** 2)
     _call("interval_maps", method, K, n, lengths, np.ascontiguousarray(jacobians), maps, contraction, memory)
     return maps, float(contraction[0])
-
-
-def changes(lengths: Array, jacobians: Array, enough: float) -> Array:
-    """Bounds of the logarithms of the factors by which something may change in each interval, (K,).
-
-    Closer ones where some of them are above `enough`. The derivatives at the stages have shape (K, d, n, n).
-    """
-    K, d, n, _ = jacobians.shape
-    bounds = np.empty(K)
-    _call("changes", K, d, n, lengths, np.ascontiguousarray(jacobians), enough, bounds)
-    return bounds
 
 
 def multipliers(

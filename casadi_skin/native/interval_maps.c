@@ -285,45 +285,54 @@ static double bound_of(int64_t n, const double *A)
         double row = 0.0, column = 0.0;
         for (int64_t j = 0; j < n; j++)
             row += fabs(A[i * n + j]), column += fabs(A[j * n + i]);
-        by_rows = fmax(by_rows, row), by_columns = fmax(by_columns, column);
+        by_rows = row > by_rows ? row : by_rows, by_columns = column > by_columns ? column : by_columns;
     }
     return fmin(by_rows, by_columns);
 }
 
 /* For each of K intervals, (K), bounds of the logarithm of the factor by which something may change in it: from norms of
-   h A, which are all where none is above `enough`, else of their powers, which bound their eigenvalues closely. */
-KERNEL(changes)(int64_t K, int64_t d, int64_t n, const double *lengths, const double *jacobians, double enough,
-                double *bounds)
+   h A, and where one of these is above `enough`, from norms of their powers, which bound their eigenvalues closely, where
+   they are above `small`. */
+void NAMED(changes)(int64_t K, int64_t d, int64_t n, const double *lengths, const double *jacobians, double enough,
+                    double small, double *bounds)
 {
     const int64_t area = n * n;
-    double units[MOST_STATES], A[MOST_STATES * MOST_STATES], square[MOST_STATES * MOST_STATES], most = 0.0, size = 0.0;
+    double units[MOST_STATES], factors[MOST_STATES * MOST_STATES], A[MOST_STATES * MOST_STATES];
+    double square[MOST_STATES * MOST_STATES], size = 0.0;
     units_of(K * d, n, jacobians, units);
-    for (int powers = 0; powers < 2; powers++) {
-        for (int64_t k = 0; k < K; k++) {
-            bounds[k] = 0.0;
-            for (int64_t s = k * d; s < (k + 1) * d; s++) {
-                for (int64_t i = 0; i < area; i++) {
-                    const double entry = lengths[k] * jacobians[s * area + i] * (units[i % n] / units[i / n]);
-                    A[i] = !powers || fabs(entry / size) >= SMALLEST_RATE_RATIO ? entry / (powers ? size : 1.0) : 0.0;
-                    most = powers ? most : fmax(most, fabs(entry));
-                }
-                for (int turn = 0; powers && turn < SPECTRAL_SQUARINGS; turn++) {
-                    for (int64_t i = 0; i < n; i++)
-                        for (int64_t j = 0; j < n; j++) {
-                            square[i * n + j] = 0.0;
-                            for (int64_t a = 0; a < n; a++)
-                                square[i * n + j] += A[i * n + a] * A[a * n + j];
-                        }
-                    memcpy(A, square, (size_t)area * sizeof(double));
-                }
-                bounds[k] = fmax(bounds[k], bound_of(n, A));
+    for (int64_t i = 0; i < area; i++)
+        factors[i] = units[i % n] / units[i / n];
+    for (int64_t k = 0; k < K; k++) {
+        bounds[k] = 0.0;
+        for (int64_t s = k * d; s < (k + 1) * d; s++) {
+            for (int64_t i = 0; i < area; i++) {
+                A[i] = lengths[k] * jacobians[s * area + i] * factors[i];
+                size = fabs(A[i]) > size ? fabs(A[i]) : size;
             }
-            if (powers)
-                bounds[k] = size * pow(bounds[k], 1.0 / (1 << SPECTRAL_SQUARINGS));
+            bounds[k] = fmax(bounds[k], bound_of(n, A));
         }
-        size = most;
-        if (!(largest(bounds, K) > enough))
-            break;
     }
-    return 0;
+    if (!(largest(bounds, K) > enough))
+        return;
+    for (int64_t k = 0; k < K; k++) {
+        if (bounds[k] <= small)
+            continue;
+        bounds[k] = 0.0;
+        for (int64_t s = k * d; s < (k + 1) * d; s++) {
+            for (int64_t i = 0; i < area; i++) {
+                const double entry = lengths[k] * jacobians[s * area + i] * factors[i] / size;
+                A[i] = fabs(entry) >= SMALLEST_RATE_RATIO ? entry : 0.0;
+            }
+            for (int turn = 0; turn < SPECTRAL_SQUARINGS; turn++) {
+                memset(square, 0, (size_t)area * sizeof(double));
+                for (int64_t i = 0; i < n; i++)
+                    for (int64_t a = 0; a < n; a++)
+                        for (int64_t j = 0; j < n; j++)
+                            square[i * n + j] += A[i * n + a] * A[a * n + j];
+                memcpy(A, square, (size_t)area * sizeof(double));
+            }
+            bounds[k] = fmax(bounds[k], bound_of(n, A));
+        }
+        bounds[k] = size * pow(bounds[k], 1.0 / (1 << SPECTRAL_SQUARINGS));
+    }
 }

@@ -100,8 +100,8 @@ int NAMED(collocation_factors)(const void *layout, const double *nonzeros, const
 /* Maps over intervals, what may change in these, and multipliers of a chain: interval_maps.c, multipliers.c. */
 int NAMED(interval_maps)(const void *of, int64_t K, int64_t n, const double *lengths, const double *jacobians,
                          double *maps, double *contraction, double *memory);
-int NAMED(changes)(int64_t K, int64_t d, int64_t n, const double *lengths, const double *jacobians, double enough,
-                   double *bounds);
+void NAMED(changes)(int64_t K, int64_t d, int64_t n, const double *lengths, const double *jacobians, double enough,
+                    double small, double *bounds);
 int NAMED(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial, double contraction, int64_t wanted,
                        const double *maps, const double *right, const double *left, const double *units,
                        const double *general, double *found, double *memory);

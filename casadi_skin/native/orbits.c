@@ -49,7 +49,7 @@ static double parts_of(const orbit *o, const double *numbers, const double *logs
         most = fmax(most, fabs(logs[i])), far += fabs(logs[i]) > LOG_TWO;
     if (!(most > FAR_LOG_EIGENVALUE && far > 1))
         return 0.0;
-    NAMED(changes)(o->K, o->d, o->n, numbers, o->jacobians, RESOLVED_LOG_GROWTH, o->bounds);
+    NAMED(changes)(o->K, o->d, o->n, numbers, o->jacobians, RESOLVED_LOG_GROWTH, WITHIN_PART, o->bounds);
     most = largest(o->bounds, o->K);
     for (int64_t k = 0; k < o->K; k++)
         parts += o->bounds[k] = fmax(ceil(o->bounds[k] / WITHIN_PART), 1.0);

@@ -168,8 +168,6 @@ def _changes(problem: BoundaryProblem, jacobians: Array) -> Array:
     From norms, and where one is large from those of powers.
     """
     K, d, n = problem.resolution, problem.degree, jacobians.shape[1]
-    if n <= MOST_STATES and kernels():
-        return native.changes(problem.constants, jacobians.reshape(K, d, n, n), RESOLVED_LOG_GROWTH)
 
     def bounds(power: int) -> Array:
         entries = np.abs(matrices)
