@@ -536,6 +536,9 @@ class BoundarySpace(ParameterSpace):
         problem, known = point.problem, point.better
         if known is not None and known.problem.resolution > problem.resolution:
             return known
+        values = point.z[: stated(problem).states].reshape(stated(problem).columns, -1)
+        if PERIOD in self.statement.free and (values == values[0]).all():  # at rest no equation has the period
+            return None
         moves = problem.own_tangent is None and bool(np.any(point.tangent))
         try:
             return self.levels.better(problem, point.z, point.tangent if moves else None)
