@@ -256,6 +256,7 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         ArithmeticError: the solution is not regular, as at a fold.
     """
     space: Any = solution.space
+    family: Any = solution
     if space.connects == FAMILY:
         solution = restated(solution, "")
         space = solution.space
@@ -274,6 +275,8 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
     free = set(space.free)
     names = [name for name in space.model.parameter_names if name not in free]
     at = problem, _polished(problem, point.z, 1)
+    if words == "energy" and not np.isclose(target(*at)[0], family.energy, rtol=1e-6):
+        raise ValueError("quantity: given energy in a gauge, which parameters change; accepted: that of a model")
     found = _with_errors(target, at, finer, names, errors=errors)
     picked = "" if fixed is None else f", and the {fixed}"
     return Gradient(words, target(*at)[0], *found, f"all other parameters{picked}")

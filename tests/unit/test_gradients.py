@@ -13,7 +13,7 @@ from critical_models import across_circle, cycles_with_fold
 from equilibrium_models import ab, symbols
 from outputs import read_rows
 from programs import Program
-from small_models import forced_orbit, limit_cycle
+from small_models import forced_orbit, fput, limit_cycle
 
 from casadi_skin import (
     BoundaryValueProblem,
@@ -473,6 +473,17 @@ def test_the_frequency_of_a_family_at_its_amplitude() -> None:
 
     exact = [float(mpmath.diff(Omega, (mpmath.mpf("0.5"), mpmath.mpf("0.8")), order)) for order in ((1, 0), (0, 1))]
     is_close(orbit.gradient("Omega"), dict(zip(("g", "S"), exact, strict=True)), largest=1e-9)
+
+
+def test_the_energy_of_a_family_is_that_of_its_model() -> None:
+    """E = f(bond S) / bond of the FPUT-beta lattice; that of a chain is one of its gauge."""
+    orbit = follow_family(fput(4), 1, 1.0, at=[0.8], tolerance=1e-10).at(S=0.8)
+    found = orbit.gradient("energy")
+    assert found.value == pytest.approx(orbit.energy, rel=1e-10)
+    assert found["bond"] == pytest.approx(0.8 * found["S"] - found.value, abs=1e-11)
+    chained = follow_family(Chain(4, 1.0, 0.25, -1.0), 1, 0.5, at=[0.2], tolerance=1e-9).at(S=0.2)
+    with pytest.raises(ValueError, match="energy in a gauge"):
+        chained.gradient("energy")
 
 
 def test_a_fold_of_a_family_scales_with_the_cubic_force() -> None:
