@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from casadi_skin.model.ode import OdeModel as OdeModel
     from casadi_skin.model.saved import read_model as read_model
     from casadi_skin.model.saved import save_model as save_model
+    from casadi_skin.optimise.designs import find_design as find_design
+    from casadi_skin.optimise.designs import pareto_front as pareto_front
     from casadi_skin.optimise.kick import smallest_kick as smallest_kick
     from casadi_skin.optimise.search import search_orbit as search_orbit
     from casadi_skin.results.saving import read_result as read_result
@@ -52,6 +54,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "model.conserved": ("SymmetryClass",),
     "model.ode": ("OdeModel",),
     "model.saved": ("read_model", "save_model"),
+    "optimise.designs": ("find_design", "pareto_front"),
     "optimise.kick": ("smallest_kick",),
     "optimise.search": ("search_orbit",),
     "results.saving": ("read_result", "save_result"),
@@ -96,12 +99,12 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "family_coordinates": "zero.model_coordinates:coordinates_of_model",
         "linear_frequencies": "zero.model_coordinates:frequencies_of_model",
         "linear_spectrum": "zero.model_coordinates:spectrum_of_model",
-        "searched_family": "optimise.families:model_family",
+        "family_equations": "optimise.families:model_equations",
     },
     "Chain": {
         "equations_of_motion": "dynamics.evolution:chain_equations",
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
-        "searched_family": "optimise.families:chain_family",
+        "family_equations": "optimise.families:chain_equations",
         "threshold": "dynamics.resonances:threshold",
     },
     "LongLattice": {"family_coordinates": "lattice.core_with_tail:long_lattice_coordinates"},

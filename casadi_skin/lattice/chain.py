@@ -186,8 +186,8 @@ class Chain(WithOwnParameters):
     """Coordinates of the family that grows from a linear mode to S = `amplitude_max`; see `follow_family`."""
     equations_of_motion: ClassVar[Callable[..., Any]]
     """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
-    searched_family: ClassVar[Callable[..., Any]]
-    """One mode's family with parameters free; see `search_orbit`."""
+    family_equations: ClassVar[Callable[..., Any]]
+    """The equations of its families with parameters free; see `find_design`."""
     threshold: ClassVar[Callable[..., float]]
     """S at which the end breather of the infinite chain is born: `casadi_skin.dynamics.resonances.threshold`."""
 

@@ -76,8 +76,8 @@ class OdeModel(Equations, WithVerbs):
     linear_spectrum: ClassVar[Callable[..., Any]]
     """Its linear modes; see `zero.model_coordinates`."""
 
-    searched_family: ClassVar[Callable[..., Any]]
-    """One mode's family with parameters free; see `search_orbit`."""
+    family_equations: ClassVar[Callable[..., Any]]
+    """The equations of its families with parameters free; see `find_design`."""
 
     def tunable_model(self) -> OdeModel:
         """The model with its parameters as symbols, as every other model hands it in: itself."""

@@ -5,7 +5,6 @@ Every search states its problem as one: an orbit in odd cosines, a boundary-valu
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -20,8 +19,6 @@ from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.solve.ipopt import SOLVED_STATUS, IterationCallback, Monitor, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
-MOST_BALLS = 8  # known optima that a solve keeps away from at a time
-BALL_RADIUS = 0.05  # of the balls round them, in the scaled place
 STOPPED_STATUS = "User_Requested_Stop"
 WARM_START: Mapping[str, Any] = {
     "ipopt.mu_init": 1e-9, "ipopt.bound_push": 1e-12, "ipopt.bound_frac": 1e-12, "ipopt.slack_bound_push": 1e-12,
@@ -193,24 +190,6 @@ class Nlp:
         }  # fmt: skip
         options |= {"hess_lag": self._hessian} if self.exact else {"ipopt.hessian_approximation": "limited-memory"}
         return nlp_solver("search", parts, IPOPT_TOLERANCE, options, exact=False), callback
-
-    def away_from(self, known: Sequence[Array]) -> Nlp:
-        """The same programme with constraints that keep out of balls round known places, the last few of them."""
-        other, far = copy.copy(self._deflated), np.full(self.place.numel(), 1e3)  # type: ignore[union-attr]
-        other.p = np.concatenate([self.p, *known[-MOST_BALLS:], *[far] * (MOST_BALLS - len(known[-MOST_BALLS:]))])
-        return other
-
-    @cached_property
-    def _deflated(self) -> Nlp:
-        assert self.place is not None
-        centres = type(self._x).sym("centres", self.place.numel(), MOST_BALLS)
-        distances = ca.sum1((ca.repmat(self.place, 1, MOST_BALLS) - centres) ** 2).T
-        equations, bounds, conditions = self._stated
-        return Nlp(
-            self._x, self.sign * self._f, equations, bounds, {**conditions, "": (distances, BALL_RADIUS**2, np.inf)},
-            p=ca.vertcat(self._p, ca.vec(centres)), maximise=self.sign < 0, exact=self.exact, options=self.options,
-            jacobian=ca.vertcat(self._jacobian, ca.jacobian(distances, self._x)),
-        )  # fmt: skip
 
     def nearest(self, x: Array) -> Solution | None:
         """The orbit, found from x, that misses the conditions least; None where there is none, or no condition."""

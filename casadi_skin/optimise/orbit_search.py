@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -65,8 +65,6 @@ class OrbitSearch:
     maximise: bool
     options: Mapping[str, Any]  # of find_orbit, beyond expressions
     accuracy: Mapping[str, Any]  # tolerance and methods, options of find_orbit too
-    resolution_name: ClassVar[str] = "intervals"
-    of_family: ClassVar[bool] = False
 
     @classmethod
     def of(
@@ -185,9 +183,6 @@ class OrbitSearch:
         period = None if self.model.forced else float(t[-1]) / self._part
         return find_orbit(self.model, (t, states), period, parameters=values, **options)
 
-    def prepared(self, first: Start) -> OrbitSearch:
-        return self
-
     def nlp_at(self, start: Start) -> tuple[BoundaryNlp, Array]:
         return self._stated(self.plain(start.free, self.t, self.states))
 
@@ -249,8 +244,8 @@ class OrbitSearch:
         sizes = {PERIOD: 0.0 if self.model.forced else orbit.period, **{n: orbit.parameters[n] for n in self.free}}
         errors = {"objective": best.objective_error, **{n: orbit.parameter_error * abs(v) for n, v in sizes.items()}}
         return Optimum.of(
-            best.nlp, best.solution, best.optimality, self.free, orbits=(orbit,), checks=(compared(orbit, plain),),
-            quantities=(self._quantities(orbit),), errors=errors, resolution=orbit.intervals, starts=starts,
+            best.nlp, best.solution, best.optimality, self.free, orbit=orbit, check=compared(orbit, plain),
+            quantities=self._quantities(orbit), errors=errors, resolution=orbit.intervals, starts=starts,
         )  # fmt: skip
 
     def _quantities(self, orbit: Orbit) -> dict[str, float]:

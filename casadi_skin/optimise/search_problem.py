@@ -74,7 +74,6 @@ class Outcome:
         times: of the states in the solution of a boundary-value problem; empty for odd cosines.
         violation: the largest violation of a constraint relative to its terms.
         worst: the constraint with the largest violation, and `gap` that violation in its own units.
-        deflated: whether the start kept away from optima that were known.
     """
 
     start: Start
@@ -87,7 +86,6 @@ class Outcome:
     violation: float = np.inf
     worst: str = ""
     gap: float = np.inf
-    deflated: bool = False
 
     @property
     def last(self) -> tuple[int, float, float]:
@@ -120,22 +118,13 @@ def lost_start(start: Start, words: str) -> Outcome:
     return Outcome(start, Ending.INTERRUPTED, words)
 
 
-def solve_start(
-    problem: Startable, start: Start, monitor: Monitor | None = None, *, known: Sequence[Array] = ()
-) -> Outcome:
-    """Outcome of a start: an orbit there, then Ipopt.
-
-    A start kept away from `known` optima may end on the ball round one of them: it is solved again without, and then
-    leads to a new optimum or back to the known one.
-    """
+def solve_start(problem: Startable, start: Start, monitor: Monitor | None = None) -> Outcome:
+    """Outcome of a start: an orbit there, then Ipopt."""
     try:
         nlp, x = problem.nlp_at(start)
     except ArithmeticError as error:
         return Outcome(start, Ending.NO_ORBIT, " ".join(str(error).split()))
-    solution = (nlp.away_from(known) if known else nlp).solve(x, monitor)
-    if known and solution.words != STOPPED_STATUS:
-        solution = nlp.solve(solution.x, monitor)
-    return replace(judged(nlp, start, solution), deflated=bool(known))
+    return judged(nlp, start, nlp.solve(x, monitor))
 
 
 def nearest(problem: Startable, start: Start) -> Outcome | None:
@@ -180,8 +169,6 @@ def sampled_starts(
     Where a limit is missing the range is from half to twice the own value. All are moved within their ranges, which end
     a little inside of the limits.
     """
-    from scipy.stats import qmc
-
     ranges = []
     for value, (low, high) in zip(values, limits, strict=True):
         span = sorted((0.5 * value, 2.0 * value)) if value != 0 else [-1.0, 1.0]
@@ -191,8 +178,12 @@ def sampled_starts(
         inside = START_RANGE_MARGIN * (most - least)
         ranges.append((least + inside, most - inside))
     lows, highs = np.array(ranges).T
-    drawn = qmc.Halton(len(ranges), scramble=True, seed=np.random.default_rng(seed)).random(max(count - 1, 0))
-    rows = [np.clip(values, lows, highs), *(lows + drawn * (highs - lows))]
+    rows = [np.clip(values, lows, highs)]
+    if count > 1:
+        from scipy.stats import qmc
+
+        drawn = qmc.Halton(len(ranges), scramble=True, seed=np.random.default_rng(seed)).random(count - 1)
+        rows += [*(lows + drawn * (highs - lows))]
     return [tuple(row.tolist()) for row in rows]
 
 
@@ -226,18 +217,18 @@ def named(conditions: Sequence[Condition], columns: Sequence[Any]) -> dict[str, 
     return found
 
 
-def free_names(free: Sequence[str] | str, known: Iterable[str]) -> tuple[str, ...]:
+def free_names(free: Sequence[str] | str, known: Iterable[str], label: str = "free") -> tuple[str, ...]:
     """The names of free numbers; raises ValueError for unknown names, for none, and for one that comes twice."""
     accepted = tuple(known)
     if not isinstance(free, str | list | tuple):
-        raise TypeError(f"free: given {short_repr(free)}; accepted: a list of {', '.join(accepted)}")
+        raise TypeError(f"{label}: given {short_repr(free)}; accepted: a list of {', '.join(accepted)}")
     names = (free,) if isinstance(free, str) else tuple(free)
     for name in names:
         if not isinstance(name, str) or name not in accepted:
-            raise ValueError(f"free: given {short_repr(name)}; {accepted_names(name, accepted)}")
+            raise ValueError(f"{label}: given {short_repr(name)}; {accepted_names(name, accepted)}")
     if not names or len(set(names)) < len(names):
         given = short_repr(list(names)) if names else "none"
-        raise ValueError(f"free: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
+        raise ValueError(f"{label}: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
     return names
 
 
@@ -294,17 +285,19 @@ def checked_bounds(
     return limits, tuple(conditions)
 
 
-def checked_conditions(constraints: Sequence[object], kinds: tuple[Any, ...], what: str) -> tuple[Condition, ...]:
+def checked_conditions(
+    constraints: Sequence[object], kinds: tuple[Any, ...], what: str, label: str = "constraints"
+) -> tuple[Condition, ...]:
     """Conditions from a list of items, each a quantity that has to vanish or one with its bounds.
 
     A quantity is a name or of one of `kinds`, which error messages call `what`.
     """
     accepted = CONDITION_WORDS.format(what)
     if not isinstance(constraints, list | tuple):
-        raise TypeError(f"constraints: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
+        raise TypeError(f"{label}: given {short_repr(constraints)}; accepted: a list of items, each {accepted}")
     found = []
     for item, given in enumerate(constraints, start=1):
-        place, (quantity, lower, upper) = f"constraints, item {item}", (given, 0.0, 0.0)
+        place, (quantity, lower, upper) = f"{label}, item {item}", (given, 0.0, 0.0)
         if not isinstance(given, kinds):
             if not isinstance(given, tuple | list) or len(given) != 3:
                 raise TypeError(f"{place}: given {short_repr(given)}; accepted: {accepted}")
@@ -375,9 +368,6 @@ class CosineOrbit:
         return np.asarray(self.cosines.sum(axis=0))
 
 
-ON_FAMILY = 1e-6  # relative difference of Omega to the member of the family
-
-
 @dataclass(frozen=True)
 class PlainCheck:
     """An orbit of a search beside the plain orbit problem at its parameters, solved without objective.
@@ -388,8 +378,6 @@ class PlainCheck:
         difference: the larger of those of the period and of the states, both relative.
         residual: of the plain problem's equations, relative to their largest term.
         resolution: harmonics or intervals of the plain problem.
-        family_difference: Omega less that of the orbit of the mode's family at this S, followed from the linear mode;
-            None where there is none to compare with, the reason in `family_words`.
     """
 
     converged: bool
@@ -397,27 +385,18 @@ class PlainCheck:
     difference: float
     residual: float
     resolution: int
-    family_difference: float | None = None
-    family_words: str = ""
-
-    def on_family(self, Omega: float) -> bool | None:
-        """Whether the orbit belongs to the family that grows from the linear mode; None where the family is missing."""
-        if self.family_difference is None:
-            return False if self.family_words else None
-        return abs(self.family_difference) <= ON_FAMILY * Omega
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """A local optimum: free numbers, orbits, and its checks. Every quantity of the first orbit is an attribute too.
+    """A local optimum: free numbers, the orbit, and its check. Every quantity of the orbit is an attribute too.
 
     Attributes:
         objective: value of the objective.
         parameters: the free numbers by name.
-        orbits: the orbits; one unless S was given as a list.
-        quantities: quantities of each orbit by name: parameters, period, Omega, and further ones of its problem
-            (of the slopes those that the search used).
-        checks: each orbit beside a plain solution.
+        orbit: the orbit.
+        quantities: its quantities by name: parameters, period, Omega, and further ones of its problem.
+        check: the orbit beside a plain solution.
         conditions: values of the conditions by name.
         active: bounds that are active, such as "gamma >= 0".
         kkt: residuals of the conditions of first order, from multipliers and derivatives.
@@ -431,9 +410,9 @@ class Optimum:
 
     objective: float
     parameters: Mapping[str, float]
-    orbits: tuple[CosineOrbit, ...] | tuple[Orbit, ...]
-    quantities: tuple[Mapping[str, Any], ...]
-    checks: tuple[PlainCheck, ...]
+    orbit: Orbit
+    quantities: Mapping[str, Any]
+    check: PlainCheck
     conditions: Mapping[str, Array]
     active: tuple[str, ...]
     kkt: Kkt
@@ -457,30 +436,12 @@ class Optimum:
         )  # fmt: skip
 
     def __getattr__(self, name: str) -> Any:
-        quantities = self.__dict__.get("quantities", ({},))[0]
+        quantities = self.__dict__.get("quantities", {})
         if name not in quantities:
             raise AttributeError(f"optimum: given {name}; {accepted_names(name, quantities)}")
         return quantities[name]
 
     def is_near(self, other: Optimum, tolerance: float) -> bool:
         """Whether objective, free numbers and frequencies are those of another optimum, relative to them or to 1."""
-        one, two = (
-            np.array([o.objective, *o.parameters.values(), *(q["Omega"] for q in o.quantities)]) for o in (self, other)
-        )
+        one, two = (np.array([o.objective, *o.parameters.values(), o.quantities["Omega"]]) for o in (self, other))
         return bool(np.all(np.abs(one - two) <= tolerance * np.maximum(1.0, np.abs(one))))
-
-    @property
-    def orbit(self) -> Any:
-        """The first orbit."""
-        return self.orbits[0]
-
-    @property
-    def check(self) -> PlainCheck:
-        """The first orbit beside a plain solution."""
-        return self.checks[0]
-
-    @property
-    def on_family(self) -> bool | None:
-        """Whether every orbit belongs to the mode's family; None where that is open, or any orbit will do."""
-        known = [check.on_family(q["Omega"]) for check, q in zip(self.checks, self.quantities, strict=True)]
-        return None if None in known else all(known)

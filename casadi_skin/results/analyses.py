@@ -12,16 +12,17 @@ from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.model.arguments import with_error
+from casadi_skin.optimise.designs import Design, ParetoFront
 from casadi_skin.optimise.kick import SmallestKick
-from casadi_skin.optimise.search import ParetoFront, SearchResult
+from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Optimum
 from casadi_skin.points.gradient import Gradient
 from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
+from casadi_skin.results.figures.designs import draw_path, draw_starts, path_of
 from casadi_skin.results.figures.evolutions import sizes_of
 from casadi_skin.results.figures.families import draw_series
 from casadi_skin.results.figures.multipliers import draw_moduli
-from casadi_skin.results.figures.search import draw_starts
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows, series_columns
 from casadi_skin.stability.growth import TransientGrowth
@@ -190,8 +191,8 @@ def _(result: ProvedStretch) -> words.Shown:
 @words.show.register
 def _(result: SearchResult) -> words.Shown:
     rows = [(f"optimum {k}", _optimum(optimum)) for k, optimum in enumerate(result.optima[:4], start=1)]
-    rows += [("optima", f"{len(result.optima)}, and {len(result.others)} of other families")]
-    rows += [("starts", str(len(result.outcomes))), ("end", result.reason)]
+    rows += [("optima", str(len(result.optima))), ("starts", str(len(result.outcomes))), ("end", result.reason)]
+    rows += [("by", result.engine)]
 
     def draw(axes: Axes) -> None:
         draw_starts(axes, result, "objective")
@@ -213,6 +214,21 @@ def _optima(optima: Sequence[Optimum]) -> words.Columns:
 
 
 @words.show.register
+def _(result: Design) -> words.Shown:
+    rows = [
+        (result.quantity, f"{with_error(result.value, result.error)}, the {'largest' if result.maximise else 'least'}")
+    ]
+    rows += [("at", words.named(result.parameters)), ("end", result.reason), ("by", result.engine)]
+    held = ", ".join(f"{value:.6g} by {bound}" for bound, value in list(result.multipliers.items())[: words.MOST_NAMED])
+    rows += [("derivatives", held)] if held else []
+
+    def columns() -> words.Columns:
+        return {"design": np.arange(1, len(result.path) + 1), result.quantity: result.values} | path_of(result)
+
+    return words.Shown("Design", rows, lambda axes: draw_path(axes, result), "the way to a design", columns)
+
+
+@words.show.register
 def _(result: ParetoFront) -> words.Shown:
     both = dict(zip(result.names, result.values.T, strict=True))
     rows = [("points", f"{len(result.points)}, and {result.dominated} that others dominate")]
@@ -222,7 +238,13 @@ def _(result: ParetoFront) -> words.Shown:
         axes.plot(*result.values.T, "o-", ms=4)
         axes.set(xlabel=plain(result.names[0]), ylabel=plain(result.names[1]))
 
-    return words.Shown("Pareto front", rows, draw, "a Pareto front", lambda: {**_optima(result.points), **both})
+    return words.Shown(
+        "Pareto front",
+        rows,
+        draw,
+        "a Pareto front",
+        lambda: {**both, **{n: [p[n] for p in result.points] for n in result.points[0].parameters}},
+    )
 
 
 @words.show.register

@@ -1,4 +1,4 @@
-"""Records of branches and searches in the journal of a run: points as they converge, stability, ends, outcomes.
+"""Records of branches in the journal of a run: points as they converge, stability, ends.
 
 A record is a tagged struct; points, multipliers, outcomes and curves are data in it as `store` writes results. What is
 read back is verified before a branch goes on from it, as a file may have been edited: points solve their equations, the
@@ -76,12 +76,6 @@ class EdgeRecord(msgspec.Struct, frozen=True, tag="edge"):
     curve: SavedResult
 
 
-class OutcomeRecord(msgspec.Struct, frozen=True, tag="outcome"):
-    """Where one start of a search led."""
-
-    outcome: Any
-
-
 HeldRecord = PointRecord | StabilityRecord | EndRecord
 BranchRecord = HeldRecord | CutRecord | CycleRecord | EdgeRecord
 SAME_MULTIPLIER_RTOL = 1e-6  # of multipliers that are computed again, perhaps by another processor
@@ -120,23 +114,6 @@ def point_record(
 def stability_record(branch: str, number: int, orbit: Solution) -> StabilityRecord:
     """Record of the stability of the next orbit of a branch."""
     return StabilityRecord(branch, number, data_of(orbit.floquet()))
-
-
-def known_outcomes(records: Sequence[OutcomeRecord], starts: Sequence[Any]) -> tuple[list[Any], str]:
-    """Outcomes of these starts in records, the last of each, and the fault of the first record that is of none.
-
-    The optima among them are solved for again before they are results.
-    """
-    begins, found, faults = {start.number: data_of(start) for start in starts}, dict[int, Any](), list[str]()
-    for place, record in enumerate(records, start=1):
-        try:
-            outcome = value_of(record.outcome)
-            if data_of(outcome.start) != begins.get(outcome.start.number):
-                raise ValueError("another start")
-            found[outcome.start.number] = outcome
-        except DAMAGED_FILE_ERRORS as error:
-            faults.append(f"{_words(error)} in record {place}")
-    return list(found.values()), faults[0] if faults else ""
 
 
 def _words(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""Tables of a run beside those of its branches: evolutions, changes of stability, special points, searches."""
+"""Tables of a run beside those of its branches: evolutions, changes of stability, special points, designs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.follow.special_points import SpecialPoint
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.optimise.search import SearchProblem, SearchResult
-from casadi_skin.optimise.search_problem import Optimum, Outcome
+from casadi_skin.optimise.designs import Design
+from casadi_skin.optimise.search_problem import CosineOrbit
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
-from casadi_skin.results.quantities import PROFILE_PHASES, Cell, unique_names
+from casadi_skin.results.quantities import Cell, unique_names
 from casadi_skin.stability.tongues.diagram import StabilityDiagram, StabilityEdge, Tongue
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import Unresolved
@@ -268,113 +267,59 @@ def gradient_rows(
             yield dict(zip(GRADIENT_COLUMNS, values, strict=True))
 
 
-# Files of a search: search.csv (optima), starts.csv (where each start led), search.nc, and the journal's records ------
-
-COLUMN_MEANINGS = {"S": "total amplitude: sum of y_n^2 at t = 0", "Omega": "frequency", "period": "period"}
-OF_CHAIN = {"gamma": "nonreciprocity of the optimum", "g": "cubic on-site coefficient of the optimum"}
+def _finite(value: float) -> Cell:
+    return value if math.isfinite(value) else ""
 
 
-def _finite(value: float | None) -> Cell:
-    return value if value is not None and math.isfinite(value) else ""
+# Files of a design: design.csv (optima), design_path.csv (the way to each), design.nc --------------------------------
 
 
-def optimum_row(problem: SearchProblem, optimum: Optimum, rank: int) -> dict[str, Cell]:
-    """One row of search.csv; empty where a number is not known, or infinite."""
-    check, of_family = optimum.check, problem.of_family
-    row: dict[str, Cell] = {"rank": rank}
-    if of_family:
-        row["on_family"] = "" if optimum.on_family is None else int(optimum.on_family)
-    row |= {"objective": optimum.objective, "objective_error": _finite(optimum.errors["objective"])}
-    row |= {name: optimum.quantities[0][name] for name in problem.columns}
-    row |= {
-        "active": "; ".join(optimum.active),
-        "kkt": optimum.kkt.largest,
-        "curvature": _finite(optimum.curvature),
-        problem.resolution_name: optimum.resolution,
-        "starts": " ".join(map(str, optimum.starts)),
-        "Omega_difference": check.Omega_difference,
-        "residual": check.residual,
-    }
-    row |= {"family_difference": _finite(check.family_difference)} if of_family else {"difference": check.difference}
-    return row | {f"error_{name}": _finite(error) for name, error in optimum.errors.items() if name != "objective"}
+def design_row(design: Design, rank: int) -> dict[str, Cell]:
+    """One row of design.csv."""
+    row: dict[str, Cell] = {"rank": rank, "found": int(design.found), "value": design.value}
+    row |= {"value_error": design.error, **design.parameters}
+    scalars = {name: value for name, value in design.quantities[0].items() if isinstance(value, float)}
+    row |= {name: value for name, value in scalars.items() if name not in row}
+    row |= {"active": "; ".join(design.active), "optimality": design.optimality}
+    return row | {"optimality_error": design.optimality_error, "designs": len(design.path)}
 
 
-def start_row(outcome: Outcome, names: Sequence[str]) -> dict[str, Cell]:
-    """One row of starts.csv."""
-    solution = outcome.solution
-    return {
-        "start": outcome.start.number,
-        "deflated": int(outcome.deflated),
-        **{f"from_{name}": value for name, value in zip(names, outcome.start.free, strict=True)},
-        "ending": outcome.ending.name.lower(),
-        "objective": "" if solution is None else _finite(solution.objective),
-        "iterations": 0 if solution is None else solution.iterations,
-        "violation": _finite(outcome.gap),
-        "violated": outcome.worst if outcome.gap > 0 else "",
-        "words": outcome.words,
-    }
-
-
-def write_search(result: SearchResult, directory: Path, scene_text: str, title: str) -> None:
-    """Write search.csv, starts.csv and, where there is an optimum, search.nc."""
-    found = (*result.optima, *result.others)
-    if found:
-        rows = [optimum_row(result.problem, optimum, rank) for rank, optimum in enumerate(found, start=1)]
-        write_csv(directory / "search.csv", list(rows[0]), rows)
-        _write_netcdf(directory / "search.nc", result, scene_text, title)
-    if result.outcomes:
-        starts = [start_row(outcome, result.problem.free_names) for outcome in result.outcomes]
-        write_csv(directory / "starts.csv", list(starts[0]), starts)
-
-
-# search.nc -----------------------------------------------------------------------------------------------------------
-
-
-def _write_netcdf(path: Path, result: SearchResult, scene_text: str, title: str) -> None:
-    found, problem = (*result.optima, *result.others), result.problem
-    variables = [
-        Variable("objective", ("optimum",), np.array([o.objective for o in found]), "objective"),
-        Variable("kkt", ("optimum",), np.array([o.kkt.largest for o in found]),
-                 "largest residual of the conditions of optimality"),
-    ]  # fmt: skip
-    meanings = COLUMN_MEANINGS | (OF_CHAIN if isinstance(problem.model, Chain) else {})
-    for name in problem.columns:
-        values = np.array([o.quantities[0][name] for o in found])
-        stored = name if name in ("S", "Omega", "period") else f"optimum_{name}"
-        variables.append(Variable(stored, ("optimum",), values, meanings.get(name, f"{name} of the optimum")))
-    variables += _cosines(found) if problem.of_family else _states(found, problem.model.state_names)
-    known = {"title": title, "scene": scene_text, **versions()}
-    if isinstance(problem.model, Chain):
-        known |= {name: getattr(problem.model, name) for name in ("sites", "alpha", "gamma", "g")}
-    else:
-        known |= {"model": problem.model.name}
-    known |= {"search_status": result.status.name.lower(), "search_reason": result.reason}
-    write_netcdf(path, Dataset(variables, known))
-
-
-def _cosines(found: Sequence[Optimum]) -> list[Variable]:
-    """Profiles and coefficients; the stiffness of every site of a chain."""
-    harmonics, sites = max(o.resolution for o in found), found[0].orbit.profile.size
-    coefficients = np.zeros((len(found), harmonics, sites))
-    for k, optimum in enumerate(found):
-        coefficients[k, : optimum.resolution] = optimum.orbit.cosines
-    meaning = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0"
-    profiles = np.stack([o.orbit.profile for o in found])
-    variables = [
-        Variable("profile", ("optimum", "site"), profiles, "y_n at t = 0"),
-        Variable("coefficients", ("optimum", "harmonic", "site"), coefficients, meaning),
+def write_design(design: Design, directory: Path, scene_text: str, title: str) -> None:
+    """Write design.csv, design_path.csv and design.nc."""
+    every = (design, *design.others)
+    rows = [design_row(one, rank) for rank, one in enumerate(every, start=1)]
+    write_csv(directory / "design.csv", list(rows[0]), rows)
+    steps: list[dict[str, Cell]] = [
+        {"rank": rank, "design": k, "value": float(value), **dict(zip(one.parameters, map(float, p), strict=True))}
+        for rank, one in enumerate(every, start=1)
+        for k, (value, p) in enumerate(zip(one.values, one.path, strict=True), start=1)
     ]
-    if "alpha_n" in found[0].quantities[0]:
-        alphas = np.stack([np.atleast_1d(o.alpha_n) for o in found])
-        variables.append(Variable("alpha_n", ("optimum", "site"), alphas, "on-site stiffness of every site"))
-    return variables
+    write_csv(directory / "design_path.csv", list(steps[0]), steps)
+    over = ("optimum", "parameter")
+    variables = [
+        Variable("value", ("optimum",), np.array([one.value for one in every]), design.quantity),
+        Variable("value_error", ("optimum",), np.array([one.error for one in every]), "its estimated absolute error"),
+        Variable("optimality", ("optimum",), np.array([one.optimality for one in every]),
+                 "what the conditions of first order leave, relative to the largest gradient"),
+        Variable("parameters", over, np.array([list(one.parameters.values()) for one in every]), "of the design"),
+    ]  # fmt: skip
+    if isinstance(design.solution, CosineOrbit):
+        variables += _cosines(every)
+    known = {"title": title, "scene": scene_text, **versions(), "parameter_names": ", ".join(design.parameters)}
+    known |= {"design_quantity": design.quantity, "design_reason": design.reason, "design_engine": design.engine}
+    write_netcdf(directory / "design.nc", Dataset(variables, known))
 
 
-def _states(found: Sequence[Optimum], names: Sequence[str]) -> list[Variable]:
-    """States at phases of the period, one variable a state."""
-    states = np.stack([o.orbit.evaluate(PROFILE_PHASES * o.orbit.period) for o in found])
+def _cosines(found: Sequence[Design]) -> list[Variable]:
+    """Profiles and coefficients of orbits of a family."""
+    orbits = [one.located for one in found]
+    profiles = np.array([[orbit.profile for orbit in row] for row in orbits])
+    harmonics = max(orbit.harmonics for row in orbits for orbit in row)
+    coefficients = np.array([[orbit.coefficients(harmonics) for orbit in row] for row in orbits])
+    meaning, both = "c_kn of y_n(t) = sum_k c_kn cos((2k+1) Omega t), k from 0", ("optimum", "orbit")
     return [
-        Variable("phase", ("phase",), PROFILE_PHASES, "place in the period, from 0 to 1"),
-        *(Variable(f"state_{name}", ("optimum", "phase"), states[:, :, k], f"{name} along the orbit")
-          for k, name in enumerate(names)),
+        *(Variable(name, both, np.array([[getattr(orbit, name) for orbit in row] for row in orbits]), words)
+          for name, words in (("S", "total amplitude: sum of y_n^2 at t = 0"), ("Omega", "frequency"))),
+        Variable("profile", (*both, "site"), profiles, "y_n at t = 0"),
+        Variable("coefficients", (*both, "harmonic", "site"), coefficients, meaning),
     ]  # fmt: skip

@@ -75,9 +75,9 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
         axes_of(scene)
     if scene.spectrum is not None:
         check_spectrum(request)
-    if scene.search is not None:
-        with faults_at("[search] "):
-            request.searched  # noqa: B018  made, and so checked
+    if scene.design is not None and not scene.design.of:
+        with faults_at("[design] "):
+            request.designed()  # made, and so checked
     return request
 
 
@@ -122,7 +122,7 @@ def _bound_file(scene: Scene, table: ModelTable, scene_path: Path, files: Files)
         if scene.solution is not None:
             raise refusal("[solution]", f"with {table.name}, an OdeModel", "[orbit], or a BoundaryValueProblem")
         return Request(scene, found, _values_of(found, table.parameters), path, source)
-    for name in scene.given("equilibrium", "orbit", "family", "spectrum", "export", "search"):
+    for name in scene.given("equilibrium", "orbit", "family", "spectrum", "export", "design"):
         raise refusal(f"[{name}]", f"with {table.name}, a BoundaryValueProblem", "[solution], or an OdeModel")
     values = _values_of(found.model, {**found.parameters, **table.parameters})
     with faults_at("[model] parameters: "):  # an interval that is empty at these values

@@ -14,7 +14,7 @@ A family of a lattice of n sites whose forces reach b sites further in their ord
 
     bytes = 1.25e8 + 5.2e4 n + 2.3e3 n b, and 320 n^2 with multipliers,
 
-as measured on chains of 24 to 1000 sites (with multipliers to 700) and planes of 64 to 2304, and a process of a search
+as measured on chains of 24 to 1000 sites (with multipliers to 700) and planes of 64 to 2304, and a process of a design
 on n sites 1.4e8 + 4e5 n + 1.05e3 n^2, on chains of 24 to 600: all within a sixth, from 0.12 to 0.76 GB.
 """
 
@@ -68,9 +68,8 @@ def bytes_of(request: Request) -> float:
     stability = scene.stability is not None
     if scene.given("orbit", "solution") or (scene.family is not None and scene.methods.transcription in TABLES):
         return cost_of(request).bytes
-    if scene.search is not None:
-        n = request.searched.family.size
-        return 1.4e8 + 4e5 * n + 1.05e3 * n**2
+    if scene.design is not None and not scene.design.of:
+        return 1.4e8 + 1e5 * request.equations.size
     if scene.family is None or (scene.lattice is not None and scene.lattice.long):
         return 0.0
     if scene.chain is not None:
@@ -134,7 +133,7 @@ def check_memory(request: Request, path: Path, processes: int = 1) -> None:
     """Raises SceneError for a scene that needs more memory than there is, in so many processes."""
     need, there = bytes_of(request) * processes, available_memory()
     if need - LOADED_BYTES > max(there, 0.0):
-        (name, *_) = request.scene.given("orbit", "solution", "family", "search")
+        (name, *_) = request.scene.given("orbit", "solution", "family", "design")
         given = f"needs about {in_gigabytes(need)} of memory (within a factor of {UNCERTAINTY})"
         where = f" in {processes} processes" if processes > 1 else ""
         accepted = "fewer states, sites, [method] intervals or workers, or the option --beyond-memory"

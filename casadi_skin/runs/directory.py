@@ -31,7 +31,7 @@ SCENE_MODEL = "scene_model"  # stem of the copy of a model's file
 WRITTEN_FILES = (
     "family.csv", "family.nc", "events.csv", "further_events.csv", "tongues.csv", "passed_resonances.csv",
     "spectrum.csv", "bands.csv", "dynamics.csv", "dynamics.nc", "spreading.csv", "energies.csv", "edges.csv",
-    "search.csv", "starts.csv", "search.nc", "series.csv", "series.nc", "gradient.csv",
+    "design.csv", "design_path.csv", "design.nc", "series.csv", "series.nc", "gradient.csv",
     "branch.csv", "branch.nc", "special_points.csv", "cycles_*.csv", "cycles_*.nc", "other_*.csv", "other_*.nc",
     "curve_*.csv", "curve_*.nc", "map.csv", "map.nc", "boundary.csv", "explore.html", "journal_*_of_*.msgpack",
     f"{SCENE_MODEL}.py", f"{SCENE_MODEL}.json", SCENE_FILE, JOURNAL_FILE,
@@ -42,7 +42,7 @@ EXPORTED_FILES = ("{0}.h", "{0}.c", "{0}_*.c", "main.c", "README.md", "CMakeList
 HEADER_AUTHOR = b"casadi_skin"  # in the comment that a header of ours begins with
 ACCEPTED_EXPORT = "accepted: a folder of generated C alone"
 PICTURE_STEMS = (
-    "frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "search", "branch", "orbit",
+    "frequency", "profile", "spectrum", "bands", "plane_j*", "multipliers_j*", "dynamics", "design", "branch", "orbit",
     "curves", "portrait", "map_*", "skin", "spreading", "edges", "series_j*",
 )  # fmt: skip
 RUN_FILES = (*WRITTEN_FILES, "film_j*.gif", *(f"{stem}.{kind}" for stem in PICTURE_STEMS for kind in FORMATS), "*.fmu")
@@ -80,7 +80,7 @@ def prepare(directory: Path, request: Request, scene_text: str, existing: Existi
             raise DirectoryError(f"{directory}: holds {held[0]}; {words}")
     if held and existing is not Existing.OVERWRITE:
         _check_same(directory, request.scene)
-    written = any((directory / name).exists() for name in ("family.nc", "search.nc", "branch.nc", "dynamics.nc"))
+    written = any((directory / name).exists() for name in ("family.nc", "design.nc", "branch.nc", "dynamics.nc"))
     if written and existing is Existing.RESUME and not (directory / JOURNAL_FILE).exists():
         _check_complete(directory)
         return False

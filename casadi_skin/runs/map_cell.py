@@ -27,8 +27,7 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.result import TURN
-from casadi_skin.optimise.names import FREE, NAMED
-from casadi_skin.optimise.search import SearchResult, search
+from casadi_skin.optimise.designs import Design, best_design
 from casadi_skin.results.quantities import (
     FAMILY_ERRORS,
     FAMILY_PROOFS,
@@ -101,8 +100,8 @@ ERROR_MEANING = "its estimated absolute error"
 def known_names(request: Request) -> tuple[str, ...]:
     """Names of quantities without the suffix that distinguishes several branches."""
     scene = request.scene
-    if scene.search is not None:
-        return ("objective", "optima", "end", "end_reason", "Omega", *FREE, *NAMED)
+    if scene.design is not None:
+        return ("value", "value_error", "optima", "found", "end_reason", "Omega", "S", *scene.design.over)
     if scene.family is not None:
         tables = (FAMILY_QUANTITIES, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
         names = [quantity.name for table in tables for quantity in table]
@@ -291,17 +290,19 @@ def _start(branches: Iterable[Branch]) -> tuple[tuple[float, ...], float]:
     return tuple(state.tolist()), solution.period if solution.is_orbit else 0.0
 
 
-def _of_search(result: SearchResult) -> Named:
-    """Quantities of a search: its best optimum, and how it ended."""
-    if result.found:
-        best = result.best
-        yield "objective", best.objective, "the objective at the best optimum"
-        for name, value in best.parameters.items():
-            yield name, value, f"{name} of the best optimum"
-        yield "Omega", best.Omega, "frequency of the best optimum"
-    yield "optima", len(result.optima), "distinct optima found"
-    yield "end", result.status.name.lower(), "how the search ended, in a word"
-    yield "end_reason", result.reason, "how the search ended"
+def _of_design(design: Design) -> Named:
+    """Quantities of a design: the best optimum, and how it ended."""
+    if design.found:
+        yield "value", design.value, "what is optimised, at the best design"
+        yield "value_error", design.error, ERROR_MEANING
+        for name, value in design.parameters.items():
+            yield name, value, f"{name} of the best design"
+        for name in ("Omega", "S"):
+            if name in design.quantities[0] and name not in design.parameters:
+                yield name, design.quantities[0][name], f"{name} of the orbit there"
+    yield "optima", (1 + len(design.others)) * design.found, "distinct optima found"
+    yield "found", int(design.found), "1 where there is an optimum"
+    yield "end_reason", design.reason, "how the search ended"
 
 
 # Computing ------------------------------------------------------------------------------------------------------------
@@ -354,10 +355,10 @@ class Computer:
             return Served(partial(self._request, task), task.along, task.values, meanings).rows, meanings
         scene = scene_at(self.tables, task.settings, task.amplitudes)
         request = bind(started_at(scene, task), Path(self.path), self._files)
-        if scene.search is not None:
-            problem, table = request.searched, scene.search
-            result = search(problem, problem.starts(table.starts, table.seed), deflate=table.deflate)
-            return [Row(_kept(_of_search(result), meanings), "" if result.found else result.reason)], meanings
+        if scene.design is not None:
+            problem, table = request.designed(), scene.design
+            result = best_design(problem, problem.places(table.starts, table.seed), request.tolerance)
+            return [Row(_kept(_of_design(result), meanings), "" if result.found else result.reason)], meanings
         if len(task.values) > 1:
             return list(served(request, task.along, task.values, meanings)), meanings
         branches, fault = followed(request)

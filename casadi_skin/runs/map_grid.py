@@ -188,11 +188,11 @@ def _named_paths(scene: Scene) -> dict[str, Path]:
         found.setdefault("cells", ("lattice", "cells"))
     if scene.family is not None:
         found |= {"mode": ("family", "mode"), "S": AMPLITUDE, "amplitude_max": ("family", "amplitude_max")}
-    if scene.search is not None:
-        found |= {"mode": ("search", "mode"), "S": ("search", "S")}
+    if scene.design is not None:
+        found |= {"mode": ("design", "mode"), "S": ("design", "S")}
     drawn = {} if scene.lattice is None else scene.lattice.parameters
     seeds: list[Path] = [("lattice", "parameters", name, "seed") for name, v in drawn.items() if hasattr(v, "seed")]
-    seeds += [("search", "seed")] if scene.search is not None else []
+    seeds += [("design", "seed")] if scene.design is not None else []
     seeds += [("dynamics", "seed")] if scene.dynamics is not None and scene.dynamics.seed is not None else []
     if len(seeds) == 1:
         found.setdefault("seed", seeds[0])

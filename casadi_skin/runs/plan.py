@@ -154,11 +154,11 @@ def plan_lines(request: Request, measure: bool) -> Lines:
     elif scene.orbit is not None or request.problem is not None:
         lines += _orbit_lines(request) if scene.orbit is not None else _problem_lines(request)
         lines += _solved_lines(request) if scene.given("orbit", "solution") else [not_built]
-    elif scene.search is None:
+    elif scene.design is None:
         lines.append(not_built)
     for task in tasks_of(request):
         lines += task.plan()
-    if scene.given("family", "search"):
+    if scene.given("family", "design"):
         from casadi_skin.runs.cost import UNCERTAINTY, bytes_of, memory_in_words
 
         if bytes_of(request):

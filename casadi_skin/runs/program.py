@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from casadi_skin.runs.scene import Scene
 
 COLLECTOR_THRESHOLDS = (200_000, 20, 50)  # modules live to the end, and a picture is 20,000 objects
-OF_MODEL = ("orbit", "continuation", "search", "dynamics", "export", "map")  # tables checked against the model
-ASKED_TASKS = ("family", "equilibrium", "orbit", "solution", "search", "dynamics", "export", "spectrum")
+OF_MODEL = ("orbit", "continuation", "design", "dynamics", "export", "map")  # tables checked against the model
+ASKED_TASKS = ("family", "equilibrium", "orbit", "solution", "design", "dynamics", "export", "spectrum")
 KINDS = ("chain", "lattice", "model")  # of scenes to start from
 
 # Options, and the table of commands -----------------------------------------------------------------------------------
@@ -138,13 +138,13 @@ def run(arguments: argparse.Namespace) -> int:
     """
     scene, text = _scene(arguments)
     if not scene.given(*ASKED_TASKS):
-        accepted = "a table [family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
+        accepted = "a table [family], [equilibrium], [orbit], [solution], [design], [dynamics], [export] or [spectrum]"
         raise InputError(f"{arguments.scene}: asks for nothing to compute; accepted: {accepted}")
     request = _bound(scene, arguments)
     if not arguments.beyond_memory:
         from casadi_skin.runs.cost import check_memory
 
-        check_memory(request, arguments.scene, scene.search.workers if scene.search is not None else 1)
+        check_memory(request, arguments.scene)
     from casadi_skin.runs.directory import in_use
     from casadi_skin.runs.output import Progress
 

@@ -34,10 +34,10 @@ from casadi_skin.runs.scene import (
     BondTable,
     ChainTable,
     CurveTable,
+    DesignCondition,
     MapTable,
     RangeTable,
     Scene,
-    SearchCondition,
     SiteTable,
     Table,
     UniformTable,
@@ -46,7 +46,7 @@ from casadi_skin.runs.scene import (
 )
 
 MODEL_TABLES = ("chain", "lattice", "model")  # tables of which a scene has one
-PARTS = (SiteTable, BondTable, UniformTable, CurveTable, SearchCondition, RangeTable)  # of tables
+PARTS = (SiteTable, BondTable, UniformTable, CurveTable, DesignCondition, RangeTable)  # of tables
 LATTICE_PARTS: Mapping[str, type[Table]] = {"[lattice] site": SiteTable, "[lattice] bond": BondTable}
 KEY_SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
     "n": "sites", "length": "sites", "s_max": "amplitude_max", "smax": "amplitude_max", "amplitude": "amplitude_max",

@@ -20,7 +20,7 @@ from casadi_skin.zero.family import FamilyRequest, Method, Targets
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
-    from casadi_skin.optimise.family_search import FamilySearch
+    from casadi_skin.optimise.design_problem import DesignProblem
     from casadi_skin.zero.orbit import Guess
     from casadi_skin.zero.statement import BoundaryValueProblem
 
@@ -102,22 +102,22 @@ class Request:
             found.append(request.for_stability(scene.method.walker) if whole else request)
         return tuple(found)
 
-    @cached_property
-    def searched(self) -> FamilySearch:
-        """What [search] asks for; raises ValueError or TypeError for values that are not accepted."""
-        from casadi_skin.optimise.family_search import FamilySearch
+    def designed(self, points: Sequence[Any] = ()) -> DesignProblem:
+        """What [design] asks for, of these special points, or of orbits of a family that are not computed yet.
 
-        table: Any = self.scene.search
+        Raises ValueError and TypeError for values that are not accepted.
+        """
+        from casadi_skin.optimise.design_problem import DesignProblem, family_starts
+
+        table: Any = self.scene.design
         constraints = [
             (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
-            for held in table.constraints
+            for held in table.subject_to
         ]
+        amplitudes = table.S if isinstance(table.S, tuple) else (table.S or 1.0,)
+        of = points or family_starts(self.model, table.mode, amplitudes, self.model_parameters, self.tolerance)
         bounds = {name: [*ends] for name, ends in table.bounds.items()}
-        return FamilySearch.of(
-            self.model, mode=table.mode, parameters=self.model_parameters, S=table.S, objective=table.objective,
-            free=table.free, bounds=bounds, constraints=constraints, maximise=table.maximise,
-            tolerance=self.tolerance,
-        )  # fmt: skip
+        return DesignProblem.of(table.quantity, list(of), table.over, constraints, bounds, table.maximise)
 
     @property
     def options(self) -> dict[str, Any]:

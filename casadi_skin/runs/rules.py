@@ -121,7 +121,7 @@ def with_kind(value: object) -> str:
 LONGEST_ENVELOPE = 700.0  # the same as in dynamics, which loads numerics
 KICKS = ("site", "vector", "seed")  # keys of [dynamics], one of which a perturbation has
 STARTS = ("mode", *KICKS)  # of which a motion from rest has one
-MAPPED_TASKS = ("family", "equilibrium", "orbit", "solution", "search")  # the tasks of cells of maps
+MAPPED_TASKS = ("family", "equilibrium", "orbit", "solution", "design")  # the tasks of cells of maps
 MISSING = "missing"
 WITH_SELECT = "beside [orbit] with select, which picks orbits of a family"
 BESIDE_SOLUTION = "beside [equilibrium], [orbit] or [solution]"
@@ -176,7 +176,7 @@ def check_scene(scene: Scene) -> None:
         _of_families,
         _of_lengths,
         _of_dynamics,
-        _of_search,
+        _of_design,
         _of_export,
         _of_map,
     ):
@@ -333,7 +333,7 @@ def _of_families(s: Seen) -> Rules:
 
 def _of_lengths(s: Seen) -> Rules:
     """Rules of infinite chains, and of lattices with a linear tail."""
-    names, longer = ["spectrum", "dynamics", "orbit"], ["equilibrium", "continuation", "search", "export"]
+    names, longer = ["spectrum", "dynamics", "orbit"], ["equilibrium", "continuation", "design", "export"]
     if s.sites == math.inf:
         for name in s.scene.given(*names):
             yield name, "with sites = inf", "with a whole number of sites: all of them take part in it"
@@ -350,7 +350,7 @@ def _of_dynamics(s: Seen) -> Rules:
     if not table:
         return
     if s.at_rest:
-        for name in s.scene.given("equilibrium", "solution", "search")[:1]:
+        for name in s.scene.given("equilibrium", "solution", "design")[:1]:
             yield "dynamics", f"beside [{name}]", "beside [family] or [orbit], or with a start of its own"
         words = " and ".join(starts) or f"none of {', '.join(STARTS)}"
         accepted = f"one of {', '.join(STARTS)}, with size and duration, from which motion starts"
@@ -399,15 +399,22 @@ def _orbit_of_family(s: Seen, name: str) -> Rules:
     yield f"{name} S", most < table.S, f"a number <= amplitude_max = {most!r}"
 
 
-def _of_search(s: Seen) -> Rules:
-    """Rules of [search]; its names and bounds are known with the model."""
-    search = s.search
-    if not search:
+def _of_design(s: Seen) -> Rules:
+    """Rules of [design]; its names and bounds are known with the model."""
+    design = s.design
+    if not design:
         return
-    yield "search", s.family and "beside [family]", "[search] or [family] in one scene"
-    yield "search", s.sites == math.inf and "with sites = inf", "with a whole number of sites"
-    for item, held in enumerate(search.constraints, start=1):
-        place = f"[search] constraints, item {item}"
+    for name in s.scene.given("family", "solution"):
+        yield "design", f"beside [{name}]", f"[design] or [{name}] in one scene"
+    yield "design", s.sites == math.inf and "with sites = inf", "with a whole number of sites"
+    beside = s.equilibrium or s.orbit
+    yield "design of", not s.continuation, "beside [continuation], on whose branch the points are"
+    yield "design of", s.continuation and MISSING, "the kinds of special points of [continuation]"
+    yield "design", beside and not s.continuation and "without [continuation]", "beside it special points of its branch"
+    for name in ("mode", "S"):
+        yield f"design {name}", beside, "without [equilibrium] and [orbit], of a family"
+    for item, held in enumerate(design.subject_to, start=1):
+        place = f"[design] subject_to, item {item}"
         if (held.equal is None) == (held.lower is None and held.upper is None):
             given = "equal beside a bound" if held.equal is not None else "neither equal nor a bound"
             yield f"{place}: given {given}; accepted: equal, or lower and upper or one of these"
@@ -439,7 +446,7 @@ def _of_map(s: Seen) -> Rules:
     table = s.map
     if not table:
         return
-    tasks = "beside [family], [equilibrium], [orbit], [solution] or [search]"
+    tasks = "beside [family], [equilibrium], [orbit], [solution] or [design]"
     yield "map", not s.scene.given(*MAPPED_TASKS) and "with a scene that asks for no solution", tasks
     if not table.axes:
         yield f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED_AXES}"
@@ -458,7 +465,7 @@ def _of_map(s: Seen) -> Rules:
         yield "map boundary", several and "with several families in a cell", "one, or an axis mode"
     else:
         others, accepted = (
-            s.continuation or s.solution or s.search,
+            s.continuation or s.solution or s.design,
             "with [family], or with [equilibrium] or [orbit] alone",
         )
         yield "map boundary", others and "with a scene of other branches", accepted

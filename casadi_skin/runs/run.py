@@ -94,12 +94,11 @@ class Run(Branches):
         journal.touch()
         try:
             with one_thread():
-                if scene.search is None:  # its journal is of another kind
-                    self.follow_all(journal)
+                self.follow_all(journal)
         finally:
             with interrupts_deferred():  # all files are written before an interruption ends the run
                 self._write_results()
-        if scene.given("dynamics", "search", "export"):
+        if scene.given("dynamics", "design", "export"):
             from casadi_skin.runs.tasks import tasks_of
 
             self.tasks = tasks_of(self.request)

@@ -21,7 +21,6 @@ from msgspec import Meta, Struct, field
 
 from casadi_skin.model import methods
 from casadi_skin.model.methods import Continuation, Corrector, Flow, Format, Integrator, Tail, Transcription
-from casadi_skin.optimise.names import FREE, NAMED
 
 AMPLITUDE = "S"  # the parameter of branches that leave families
 SELECTED = "select"  # the parameter by which a continuation moves the value in [orbit] select
@@ -75,8 +74,6 @@ WORDS = {  # in docstrings of tables, by what stands in braces there
     "states": "a list of finite numbers, one a state, or a table of numbers by the names of states (left out: 0)",
     "leaving": one_of(LEAVING),
     "c_parts": one_of(C_PARTS),
-    "objectives": one_of(NAMED),
-    "free": one_of(FREE),
     "formats": one_of(methods.FORMATS),
     "flows": one_of(methods.FLOWS),
     "full_period_flows": one_of(methods.FULL_PERIOD_FLOWS),
@@ -412,7 +409,7 @@ class StabilityTable(Table, frozen=True):
     sites: Annotated[int, Meta(ge=8, le=2000)] | None = None
 
 
-# Beside these: time evolution, a search, C code and FMUs, pictures, maps ----------------------------------------------
+# Beside these: time evolution, a design, C code and FMUs, pictures, maps ----------------------------------------------
 
 
 class DynamicsTable(Table, frozen=True):
@@ -453,53 +450,53 @@ class DynamicsTable(Table, frozen=True):
     seed: Seed | None = None
 
 
-class SearchCondition(Table, frozen=True):
-    """A quantity of the orbit that is held between bounds, or equal to a number.
+class DesignCondition(Table, frozen=True):
+    """A quantity that is held between bounds, or equal to a number.
 
     Attributes:
-        quantity: Name of the quantity; accepted: a quantity by name
+        quantity: What is held; accepted: a quantity by name, or a formula in such names
         equal: Its value
         lower: Lower bound
         upper: Upper bound
     """
 
-    quantity: str
+    quantity: Text
     equal: Finite | None = None
     lower: Finite | None = None
     upper: Finite | None = None
 
 
-class SearchTable(Table, frozen=True):
-    """An orbit found by optimisation: free numbers, objective, constraints.
+class DesignTable(Table, frozen=True):
+    """Parameters at which a quantity of orbits of a family, or of special points, is best.
 
     Attributes:
-        objective: Quantity that is optimised; accepted: {objectives}
-        free: What is free; accepted: a list of {free}, each once
+        quantity: What is optimised; accepted: a quantity by name, or a formula in such names; of several orbits or
+            points with the letter of each before it, as "b.r - a.r"
+        over: Free parameters; accepted: a list of names, each once
         maximise: Maximise in place of minimise
-        bounds: Bounds of free numbers and of quantities; accepted: a table of names, each with a list [lower, upper];
-            -inf or inf where there is none
-        constraints: Quantities held; accepted: a list of tables with quantity, and equal or lower and upper or one of
+        bounds: Bounds of free parameters and of quantities; accepted: a table of names, each with a list [lower,
+            upper]; -inf or inf where there is none
+        subject_to: Quantities held; accepted: a list of tables with quantity, and equal or lower and upper or one of
             these
         mode: Linear mode of the family; accepted: a mode from 1 to sites, "first" or "last" (left out: last for g >
             0, first for g < 0)
-        S: S of the orbit, or of the first start
+        S: S of the orbit, or of several; accepted: a finite number > 0, or a list of such numbers (left out: 1)
+        of: Special points of the branch of [continuation]; accepted: a list of kinds, each with its number where there
+            are several: ["hopf", "fold 2"]
         starts: Number of starts
         seed: Seed of the starts but for the first; accepted: a whole number >= 0 and < 2^63
-        deflate: Use starts that led to a known optimum again, away from it
-        workers: Processes that share the starts
     """
 
-    objective: Annotated[str, Meta(extra_json_schema={"enum": list(NAMED)})]
-    free: Annotated[tuple[str, ...], Meta(min_length=1)]
+    quantity: Text
+    over: Names
     maximise: bool = False
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
-    constraints: tuple[SearchCondition, ...] = ()
+    subject_to: tuple[DesignCondition, ...] = ()
     mode: Mode | NamedMode | None = None
-    S: Positive = 1.0
-    starts: Annotated[int, Meta(ge=1, le=10_000)] = 8
+    S: Positive | Annotated[tuple[Positive, ...], Meta(min_length=1)] | None = None
+    of: tuple[Text, ...] = ()
+    starts: Annotated[int, Meta(ge=1, le=10_000)] = 1
     seed: Seed = 0
-    deflate: bool = False
-    workers: Annotated[int, Meta(ge=1, le=256)] = 1
 
 
 class ExportTable(Table, frozen=True):
@@ -654,7 +651,7 @@ class Scene(Table, frozen=True):
     continuation: ContinuationTable | None = None
     stability: StabilityTable | None = None
     dynamics: DynamicsTable | None = None
-    search: SearchTable | None = None
+    design: DesignTable | None = None
     export: ExportTable | None = None
     figures: FiguresTable = field(default_factory=FiguresTable)
     map: MapTable | None = None

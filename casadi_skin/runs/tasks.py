@@ -1,4 +1,4 @@
-"""The tasks of a scene beside its branches: time evolution, a search, exports, each planned, run, and put in words.
+"""The tasks of a scene beside its branches: time evolution, a design, exports, each planned, run, and put in words.
 
 The files of the linear spectrum are written here, too.
 
@@ -7,14 +7,12 @@ What one of them alone needs is loaded when it is run: a scene that asks for non
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import msgspec
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
@@ -27,19 +25,19 @@ from casadi_skin.results import figures
 from casadi_skin.results.dataset import Dataset, write_columns, write_netcdf
 from casadi_skin.results.figures.style import number
 from casadi_skin.runs.branches import Branches
-from casadi_skin.runs.directory import EXPORT_FOLDER, JOURNAL_FILE
-from casadi_skin.runs.output import Lines, Progress
+from casadi_skin.runs.directory import EXPORT_FOLDER
+from casadi_skin.runs.output import Lines
 from casadi_skin.runs.parts import mode_of, origin, picture
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.scene import DynamicsTable, ExportTable, Scene, SearchTable
-from casadi_skin.solve.processes import WorkerEndedError
+from casadi_skin.runs.scene import DesignTable, DynamicsTable, ExportTable, Scene
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.dynamics.starts import Spreading
-    from casadi_skin.optimise.search import SearchResult
+    from casadi_skin.follow.special_points import SpecialPoint
+    from casadi_skin.optimise.designs import Design
 
-MOST_BUILT_COMPONENTS = 2000  # of a model, whose programme a plan builds
+ENGINE = "SLSQP on gradients of located solutions"  # the same as in optimise.designs, which loads scipy
 PER_PERIOD, FEWEST_TIMES, MOST_TIMES = 20, 401, 4001  # times that are written unless a number of them is given
 
 
@@ -66,7 +64,7 @@ class Task(ABC):
 
 def tasks_of(request: Request) -> list[Task]:
     """The tasks of a scene beside its branches, in the order in which they are run."""
-    return [kind(request) for kind in (Dynamics, Search, Export) if request.scene.given(kind.table)]
+    return [kind(request) for kind in (Dynamics, BestDesign, Export) if request.scene.given(kind.table)]
 
 
 def _at(S: float, mode: int | None, branches: Sequence[Branch]) -> Orbit:
@@ -301,118 +299,75 @@ class Export(Task):
         return self.request.model
 
 
-# A search -------------------------------------------------------------------------------------------------------------
+# A design -------------------------------------------------------------------------------------------------------------
 
 
-class Search(Task):
-    """An orbit found by optimisation, each start kept in the journal as it ends."""
+class BestDesign(Task):
+    """Parameters at which a quantity of orbits of a family, or of special points of the branch, is best."""
 
-    table = "search"
-    asked: SearchTable
-    result: SearchResult | None = None
+    table = "design"
+    asked: DesignTable
+    result: Design | None = None
 
     def plan(self) -> Lines:
-        """The search, with the nonlinear programme of one start measured."""
-        from casadi_skin.optimise.family_search import HARMONICS_OFFERED, FamilyNlp
-
-        table, problem = self.asked, self.request.searched
-        tangent = any(str(name).endswith("_slope") for name in (table.objective, *(c.name for c in problem.conditions)))
-        if problem.family.size <= MOST_BUILT_COMPONENTS:
-            started = time.perf_counter()
-            problem = problem.prepared(problem.starts(1, table.seed)[0])
-            nlp = FamilyNlp(problem, problem.harmonics)
-            tangent, on = nlp.has_tangent, f"{nlp.size} on {nlp.harmonics} odd cosines"
-            building = (
-                f"{time.perf_counter() - started:.1g} s to build (measured now); starts and checks are not estimated"
-            )
-        else:
-            harmonics = HARMONICS_OFFERED[0]
-            each = (problem.family.size * harmonics + 1) * (1 + tangent)
-            on = f"{len(problem.free_names) + each * len(problem.amplitudes)} on {harmonics} odd cosines"
-            building = f"not known: more than {MOST_BUILT_COMPONENTS} components are not built for a plan"
-        limits = zip(problem.free, problem.bounds, strict=True)
-        bounds = ", ".join(f"{low:g} <= {name} <= {high:g}" for name, (low, high) in limits)
-        held = [f"{c.name} = {c.upper:g}" if c.equality else f"{c.lower:g} <= {c.name} <= {c.upper:g}"
-                for c in problem.conditions]  # fmt: skip
-        where = f"j = {problem.family.mode}" + ("" if "S" in problem.free else f", S = {problem.amplitudes[0]:g}")
-        derivatives = " and those of its tangent" if tangent else ""
-        processes = f"{table.workers} process{'' if table.workers == 1 else 'es'}"
+        """What is optimised, over what, within what."""
+        asked = self.asked
+        bounds = [f"{low:g} <= {name} <= {high:g}" for name, (low, high) in asked.bounds.items()]
+        held = [f"{c.quantity} = {c.equal:g}" for c in asked.subject_to if c.equal is not None]
+        held += [f"{c.quantity} within bounds" for c in asked.subject_to if c.equal is None]
+        where = f"of {', '.join(asked.of)}" if asked.of else f"of the orbits at S = {asked.S or 1.0}"
         return [
-            ("search", f"{'largest' if table.maximise else 'smallest'} {table.objective} on the family {where}"),
-            ("free", bounds),
-            ("held", "; ".join(held) or "nothing"),
-            ("tolerance", f"{problem.tolerance:g}, relative, of objective and Omega"),
-            ("starts", f"{table.starts}, seed {table.seed}, {processes}"),
-            ("unknowns", f"{on}; more harmonics where the tolerance asks for it"),
-            ("built", f"the orbit's equations{derivatives}, their exact first and second derivatives, Ipopt"),
-            ("not built", "families beyond the starts and checks" + ("" if tangent else ", the tangent")),
-            ("expected cost", building),
+            ("design", f"{'largest' if asked.maximise else 'smallest'} {asked.quantity} {where}"),
+            ("over", ", ".join(asked.over)),
+            ("held", "; ".join((*bounds, *held)) or "nothing"),
+            ("starts", f"{asked.starts}, seed {asked.seed}"),
+            ("by", f"{ENGINE}, located again at every design; no nonlinear programme of the orbit is built"),
         ]
 
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:
-        """Search, and write search.csv, starts.csv, search.nc and the picture."""
-        from casadi_skin.optimise.search import SearchStatus
-        from casadi_skin.optimise.search_problem import Ending
-        from casadi_skin.results.figures.search import search_figure
-        from casadi_skin.results.tables import write_search
+        """Optimise, and write design.csv, design_path.csv, design.nc and the picture."""
+        from casadi_skin.optimise.designs import best_design
+        from casadi_skin.results.figures.designs import design_figure
+        from casadi_skin.results.tables import write_design
 
-        scene = self.request.scene
-        try:
-            found = self.result = self._searched(run.progress, directory / JOURNAL_FILE)
-        except WorkerEndedError as error:
-            run.failures.append(f"[search]: {error}; starts that ended are kept; go on with --resume")
-            return
-        run.progress.say("writing the search")
-        write_search(found, directory, scene_text, scene.title or "")
-        if found.optima or found.others:
-            picture(scene, directory / "search", search_figure, found, self.asked.objective)
-        if found.status is SearchStatus.INTERRUPTED:
-            raise KeyboardInterrupt
-        for outcome in (outcome for outcome in found.outcomes if outcome.ending is Ending.INTERRUPTED):
-            run.failures.append(f"[search]: start {outcome.start.number}: {outcome.words}, twice; go on with --resume")
-        if found.status not in (SearchStatus.FOUND, SearchStatus.ON_BOUND):
-            run.failures.append(f"[search]: {found.reason}")
-
-    def _searched(self, progress: Progress, journal: Path) -> SearchResult:
-        """The result; starts that the journal holds are not run again."""
-        from casadi_skin.optimise.search import search
-        from casadi_skin.optimise.search_problem import Ending
-        from casadi_skin.results.branch_records import OutcomeRecord, data_of, known_outcomes
-        from casadi_skin.results.store import Journal
-
-        problem, asked = self.request.searched, self.asked
-        progress.say("building")
-        with Journal(journal, msgspec.msgpack.Decoder(OutcomeRecord)) as file:
-            if file.fault:
-                progress.report(f"{journal}: {file.fault}; what follows it is dropped and computed again")
-            starts = problem.starts(asked.starts, asked.seed)
-            known, fault = known_outcomes(file.records, starts)
-            if fault:
-                progress.report(f"{journal}: {fault}; that start is run again")
-            return search(
-                problem, starts, deflate=asked.deflate, workers=asked.workers,
-                known=[outcome for outcome in known if outcome.ending is not Ending.INTERRUPTED],
-                keep=lambda outcome: file.append(OutcomeRecord(data_of(outcome))),
-                progress=lambda where: progress.say(str(where)),
-            )  # fmt: skip
+        scene, asked = self.request.scene, self.asked
+        run.progress.say("designing")
+        with run.named("[design]: "):
+            points = [_special_point(name, run.branches) for name in asked.of]
+            problem, progress = self.request.designed(points), run.progress.say
+            found = self.result = best_design(
+                problem, problem.places(asked.starts, asked.seed), self.request.tolerance, progress
+            )
+            if not found.found:
+                run.failures.append(f"[design]: {found.reason}")
+            with interrupts_deferred():
+                write_design(found, directory, scene_text, scene.title or "")
+                model = self.request.model
+                name = f"$N = {model.sites}$" if scene.chain is not None else model.name
+                picture(scene, directory / "design", design_figure, found, name)
 
     def words(self) -> list[str]:
         """The optima, each with its numbers."""
-        result, objective = self.result, self.asked.objective
+        result = self.result
         if result is None:
             return []
-        lines = [f"search: {result.reason}"]
-        for rank, optimum in enumerate((*result.optima, *result.others), start=1):
-            named = ", ".join(f"{name} = {value:.10g}" for name, value in list(optimum.parameters.items())[:4])
-            more = ", ..." if len(optimum.parameters) > 4 else ""
-            words = ", on another family" if optimum.on_family is False else ""
-            held = f"; on {', '.join(optimum.active)}" if optimum.active else ""
-            found = f"{objective} = {optimum.objective:.10g} at {named}{more}; Omega = {optimum.Omega:.10g}"
-            lines.append(f"{rank}: {found}{held}{words}")
-        if result.nearest is not None and result.nearest.solution is not None:
-            near = result.nearest
-            lines.append(f"nearest: from start {near.start.number}, {near.worst} off by {near.gap:.3g}")
+        lines = [f"design: {result.reason}"]
+        for rank, one in enumerate((result, *result.others), start=1):
+            named = ", ".join(f"{name} = {value:.10g}" for name, value in list(one.parameters.items())[:4])
+            lines.append(f"{rank}: {one.quantity} = {one.value:.10g} at {named}{', ...' * (len(one.parameters) > 4)}")
         return lines
+
+
+def _special_point(name: str, branches: Sequence[Branch]) -> SpecialPoint:
+    """A special point of the first branch, by its kind and its number from 1; raises ValueError for others."""
+    kind, _, last = name.rpartition(" ")
+    kind, number = (kind, int(last)) if last.isdecimal() else (name, 1)
+    points = [point for branch in branches[:1] for point in branch.special_points]
+    found = [point for point in points if point.kind == kind]
+    if not 1 <= number <= len(found):
+        known = ", ".join(dict.fromkeys(point.kind for point in points)) or "none"
+        raise ValueError(f"of: given {name!r}; accepted: special points of the branch, whose kinds are: {known}")
+    return found[number - 1]
 
 
 # The linear spectrum; of a lattice also where modes live, bands of the cell, the skin effect -------------------------

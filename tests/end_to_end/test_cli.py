@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("blank")
 Cli = Callable[..., Ended]
 CHAIN = chain(24)
 GOOD = CHAIN + family(1, 3.0, at=[0.2, 1.0])
-TASKS = "[family], [equilibrium], [orbit], [solution], [search], [dynamics], [export] or [spectrum]"
+TASKS = "[family], [equilibrium], [orbit], [solution], [design], [dynamics], [export] or [spectrum]"
 
 
 def test_help_and_version_are_there(cli: Cli) -> None:
@@ -49,7 +49,7 @@ def test_wrong_words_are_refused_in_one_line(words: str, told: str, cli: Cli) ->
     [
         (GOOD.replace("[family]", "[famly]"), "[famly]"),
         (GOOD.replace("mode = 1", "mode = 25"), "[family] mode"),
-        (GOOD + "[search]\nobjective = 'S'\nfree = ['S']\n", "[search]"),
+        (GOOD + "[design]\nquantity = 'S'\nover = ['S']\n", "[design]"),
         (CHAIN + "[dynamics]\nmode = 70\nsize = 0.1\nduration = 10.0\n", "[dynamics] mode: given 70"),
         (CHAIN.replace("[chain]", "[chain"), "not TOML"),
         ("\x00", "not TOML"),

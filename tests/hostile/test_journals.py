@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import shutil
 from collections.abc import Callable
@@ -21,17 +20,14 @@ from maps import TINY, Now, files, write
 from scenes import chain, family
 
 from casadi_skin import OdeModel, read_map
-from casadi_skin.optimise.search_problem import Ending, Outcome, Start
 from casadi_skin.results.branch_records import (
     BranchRecord,
     CutRecord,
     CycleRecord,
     EndRecord,
-    OutcomeRecord,
     PointRecord,
     StabilityRecord,
     data_of,
-    known_outcomes,
 )
 from casadi_skin.results.store import RECORD_HEADER, SavedResult, framed, read_records
 from casadi_skin.runs import further
@@ -176,27 +172,6 @@ def test_records_that_were_dropped_are_missed_where_the_others_are_numbered_anew
 
 
 # What else a journal has ---------------------------------------------------------------------------------------------
-
-
-def test_outcomes_of_other_starts_are_not_those_of_a_search() -> None:
-    starts = [Start(k, (0.1 * k, 1.0)) for k in (1, 2)]
-    mine = Outcome(starts[0], Ending.FAILED, "no orbit")
-    strangers = (Start(1, (0.1, 2.0)), Start(3, (0.3, 1.0)), Start("2", (0.2, 1.0)))  # type: ignore[arg-type]
-    records = [OutcomeRecord(data_of(outcome)) for outcome in (mine, *(put_start(mine, s) for s in strangers))]
-    for record in (
-        *records[1:],
-        OutcomeRecord(3),
-        OutcomeRecord(["object", "Branch", {}]),
-        OutcomeRecord(data_of(starts)),
-    ):
-        found, fault = known_outcomes([records[0], record], starts)
-        assert [outcome.words for outcome in found] == ["no orbit"]
-        assert fault.endswith("in record 2")
-    assert known_outcomes(records[:1], starts)[1] == ""
-
-
-def put_start(outcome: Outcome, start: Start) -> Outcome:
-    return dataclasses.replace(outcome, start=start)
 
 
 def test_a_simulation_that_is_none_is_made_again() -> None:

@@ -11,12 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import msgspec
 import pytest
 from apart import Ended, killing
-from scenes import Runs, chain, family, table
+from scenes import Runs, chain, family
 
-from casadi_skin import Chain, follow_family
+from casadi_skin import Chain, OdeModel, follow_family, search_orbit
 from casadi_skin.follow.branch import Branch
 from casadi_skin.results.saving import saved
 from casadi_skin.results.store import framed
@@ -183,16 +184,17 @@ def test_a_saved_branch_with_a_wrong_field_is_refused(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("blank")
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_search_goes_on_where_a_worker_is_killed(times: int, run: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A start whose worker is killed is run again; killed twice, it is named, and run by --resume."""
-    given = {"objective": "participation", "free": ["gamma"], "bounds": {"gamma": [0.1, 0.6]}, "starts": 3}
-    scene, killed = chain(6, gamma=0.3, g=1.0), killing(monkeypatch, times)
-    done = run(scene + table("search", workers=2, **given), status=int(times == 2))
-    assert ("on a bound" in done.out, len(killed)) == (True, times)
-    if times == 2:
-        assert re.fullmatch(
-            r".*\[search\]: start [123]: its worker ended by signal 9, twice; go on with --resume\n", done.err
-        )
-        assert "3 of 3 starts led to it" in run("", "--resume").out
+def test_a_search_goes_on_where_a_worker_is_killed(times: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start whose worker is killed is run again; killed twice, it is named."""
+    q, v, omega, t = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
+    field = ca.vertcat(v, -q - q**3 - 0.2 * v + 0.1 * ca.cos(omega * t))
+    duffing = OdeModel(
+        "Duffing", ca.vertcat(q, v), field, omega, time=t, forcing_period=2 * ca.pi / omega, nominal=(1.0,)
+    )
+    killed = killing(monkeypatch, times)
+    result = search_orbit(duffing, guess=[0.0, 0.0], free=["omega"], bounds={"omega": (0.3, 2.0)}, running=-(q**2),
+                          starts=3, workers=2)  # fmt: skip
+    assert (result.found, len(killed)) == (True, times)
+    lost = [outcome for outcome in result.outcomes if "its worker ended by signal 9" in outcome.words]
+    assert len(lost) == (times == 2)

@@ -120,18 +120,13 @@ def test_a_long_list_is_checked_in_little_time() -> None:
         axes_of(parse_scene(f"{CHAIN}alpha = {[1.5, *values[1:], 1.5]}\n"))
 
 
-def test_a_search_on_many_sites_is_planned_without_its_programme(tmp_path: Path) -> None:
-    """Beside a small one, whose programme is built: unknowns are counted alike."""
+def test_a_design_on_many_sites_is_planned_without_an_orbit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     chain, path = CHAIN.partition("[family]")[0], tmp_path / "scene.toml"
-    search = '[search]\nobjective = "Omega_slope"\nmode = 1\nS = 0.1\nfree = ["gamma"]\nbounds = { gamma = [0, 0.5] }\n'
-    unknowns = {}
-    for sites in (3, 30_000):
-        path.write_text(chain.replace("= 3", f"= {sites}") + search)
-        words = dict(plan_lines(bound(read_scene(path), path), measure=False))
-        unknowns[sites] = words["unknowns"]
-    assert unknowns[3].startswith(f"{1 + 2 * (3 * 6 + 1)} on 6 odd cosines; ")
-    assert unknowns[30_000].startswith(f"{1 + 2 * (30_000 * 6 + 1)} on 6 odd cosines; ")
-    assert words["expected cost"].startswith("not known: ")
+    design = '[design]\nquantity = "Omega_slope"\nmode = 1\nS = 0.1\nover = ["gamma"]\nbounds = { gamma = [0, 0.5] }\n'
+    monkeypatch.setattr("casadi_skin.optimise.design_problem.follow_family", lambda *_, **__: pytest.fail("solved"))
+    path.write_text(chain.replace("= 3", "= 30000") + design)
+    words = dict(plan_lines(bound(read_scene(path), path), measure=False))
+    assert words["design"] == "smallest Omega_slope of the orbits at S = 0.1"
 
 
 RING = """
@@ -194,18 +189,18 @@ amplitude_max = 1.0
 LARGE = {
     "family": ("run", PLANE, "0.36 GB", "family"),
     "multipliers": ("run", PLANE + "[stability]\n", "1.2 GB", "family"),
-    "search": (
+    "design": (
         "run",
-        chain(200) + table("search", objective="Omega", mode="last", free=["S"], bounds={"S": [0.1, 1]}, workers=2),
-        "0.52 GB",
-        "search",
+        chain(2000) + table("design", quantity="Omega", mode="last", over=["S"], bounds={"S": [0.1, 1]}),
+        "0.34 GB",
+        "design",
     ),
     "map": ("map", PLANE + "[map]\ng = [-1.0, 1.0]\n", "1.1 GB", "family"),
 }
 
 
 @pytest.mark.parametrize(
-    "name", ["search", *(pytest.param(name, marks=pytest.mark.slow) for name in LARGE if name != "search")]
+    "name", ["design", *(pytest.param(name, marks=pytest.mark.slow) for name in LARGE if name != "design")]
 )
 def test_what_needs_more_memory_than_there_is_is_refused_before_it_starts(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

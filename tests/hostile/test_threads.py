@@ -35,12 +35,12 @@ from casadi_skin import (
     Chain,
     OdeModel,
     Orbit,
+    find_design,
     find_equilibrium,
     find_orbit,
     follow_family,
     read_result,
     save_result,
-    search_orbit,
     simulate,
 )
 from casadi_skin.model.result import TURN
@@ -146,10 +146,11 @@ def evolved(model: OdeModel) -> bytes:
     return bytes(simulate(model, [2.0, 0.0], np.linspace(0.0, 20.0, 11)).states.tobytes())
 
 
-def searched(chain: Chain) -> tuple[float, ...]:
+def designed(chain: Chain) -> tuple[float, ...]:
     bounds = {"S": (0.1, 1.0), "gamma": (0.0, 0.3)}
-    best = search_orbit(chain, objective="Omega", mode="last", free=("S", "gamma"), bounds=bounds, starts=2).best
-    return best.Omega, best.S, best.gamma
+    orbit = follow_family(chain, "last", 1.0).orbits[-1]
+    best = find_design("Omega", orbit, over=("S", "gamma"), bounds=bounds)
+    return best.value, best["S"], best["gamma"]
 
 
 def proved(orbit: Orbit) -> str:
@@ -170,7 +171,7 @@ SHARED: dict[str, tuple[Callable[[], Any], tuple[Callable[[Any], Any], ...]]] = 
     ),
     "a branch of equilibria": (lambda: rest().follow("p", 0.25), (points, drawn, rests, cycles)),
     "a model": (van_der_pol, (evolved,)),
-    "a chain": (lambda: Chain(4, 1.0, 0.25, 1.0), (searched,)),
+    "a chain": (lambda: Chain(4, 1.0, 0.25, 1.0), (designed,)),
 }
 
 

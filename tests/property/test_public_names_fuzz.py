@@ -30,6 +30,7 @@ from casadi_skin import (
     Uniform,
     export_c,
     export_fmu,
+    find_design,
     find_equilibria,
     find_equilibrium,
     find_orbit,
@@ -148,15 +149,14 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
          "period_max": None, "max_points": 4, "until": None, "stability": False, "events": False, "tolerance": 1e-4,
          "parameters": None, "progress": None, "corrector": "newton"},
     ),
+    "find_design": (
+        lambda: find_design,
+        {"quantity": "Omega", "of": None, "over": ("S",), "bounds": {"S": (0.1, 0.2)}, "subject_to": (),
+         "maximise": False, "starts": 1, "seed": 0, "progress": None, "tolerance": 1e-4},
+    ),
     "search_orbit": (
         lambda: search_orbit,
-        {"chain_or_model": CHAIN, "objective": "Omega", "free": ("S",), "bounds": {"S": (0.1, 0.2)}, "constraints": (),
-         "maximise": False, "starts": 1, "seed": 0, "deflate": False, "workers": 1, "executor": None, "progress": None,
-         "mode": 1, "S": 0.1, "tolerance": 1e-4},
-    ),
-    "search_orbit near a guess": (
-        lambda: search_orbit,
-        {"chain_or_model": VAN_DER_POL, "objective": "period", "running": None, "free": ("mu",),
+        {"model": VAN_DER_POL, "objective": "period", "running": None, "free": ("mu",),
          "bounds": {"mu": (0.05, 0.1)}, "constraints": (), "starts": 1, "guess": circle, "period": 6.3, "select": None,
          "section": None, "symmetric": False, "cycles": 1, "parameters": {"mu": 0.1}, "tolerance": 1e-3,
          "intervals": 10},
@@ -269,6 +269,8 @@ def called(name: str, draw: random.Random, folder: Path) -> tuple[Callable[[], A
             given[key] = str(folder / given[key])
     if name == "smallest_kick":
         given["orbit"] = branch().orbits[-1]
+    if name == "find_design":
+        given["of"] = branch().orbits[-1]
     for _ in range(draw.randint(1, 3) if draw.random() < 0.4 else 1):
         key = draw.choice(list(given))
         kind = draw.random()

@@ -22,7 +22,7 @@ QUICK = examples(200, database=None, derandomize=True, suppress_health_check=[He
 SCENES = {
     name: tomllib.loads((EXAMPLES / f"{name}.toml").read_text(encoding="utf-8"))
     for name in ("softening_end_breather", "fput_modes", "duffing_resonance", "van_der_pol", "heated_slab",
-                 "prey_and_predators", "search_hardest_breather")
+                 "prey_and_predators", "design_hardest_breather")
 }  # fmt: skip
 ORBIT, SOLUTION, FAMILY = SCENES["van_der_pol"], SCENES["heated_slab"], SCENES["fput_modes"]
 CHAIN = SCENES["softening_end_breather"]

@@ -16,6 +16,7 @@ from casadi_skin import (
     Lattice,
     OdeModel,
     Site,
+    find_design,
     find_equilibrium,
     find_orbit,
     follow_family,
@@ -302,10 +303,10 @@ def test_options_of_other_names_are_refused_with_the_nearest() -> None:
     problem = BoundaryValueProblem(OdeModel("line", x, -x), lambda start, end, p: start - 1.0)
     with pytest.raises(ValueError, match="options: given 'tol'; accepted: tolerance"):
         problem.solve([0.0], tol=1e-3)
-    with pytest.raises(TypeError, match=r"^search_orbit: given the option 'bound'; did you mean bounds\?"):
-        search_orbit(chain, objective="S", free=["S"], bound={"S": (0.1, 1.0)})
-    with pytest.raises(ValueError, match=r"^objective: given none; accepted: the name of a quantity"):
-        search_orbit(chain, free=["S"])
+    with pytest.raises(ValueError, match=r"^options: given 'bound'; accepted: tolerance"):
+        search_orbit(problem.model, guess=[1.0], free=["x"], bound={"x": (0.1, 1.0)})
+    with pytest.raises(TypeError, match="unexpected keyword argument 'free'"):
+        find_design("S", rest, free=["S"])  # type: ignore[call-arg]
     with pytest.raises(KeyError, match=r"q; known: S, alpha, gamma, g"):
         follow_family(chain, 1, 0.1)["q"]
 

@@ -29,9 +29,11 @@ from casadi_skin import (
     Lattice,
     OdeModel,
     Site,
+    find_design,
     find_equilibrium,
     find_orbit,
     follow_family,
+    pareto_front,
     read_result,
     search_orbit,
     simulate,
@@ -42,7 +44,6 @@ from casadi_skin.dynamics.starts import spreading
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.model.arguments import with_error
 from casadi_skin.model.result import Result
-from casadi_skin.optimise.search import pareto_front
 from casadi_skin.optimise.search_problem import solve_start
 from casadi_skin.results.solutions import SAMPLES
 
@@ -106,12 +107,17 @@ def kick() -> Any:
     return smallest_kick(orbit, 1.2 * orbit.period, distance=0.3, starts=1)
 
 
+def design() -> Any:
+    orbit = follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1).orbits[-1]
+    return find_design("Omega", orbit, over=["gamma"], bounds={"gamma": (0.1, 0.3)})
+
+
+def design_of_a_point() -> Any:
+    point = rest().follow("mu", 0.1).special_points[0]
+    return find_design("mu", point, over=["omega"], bounds={"omega": (0.9, 1.1)})
+
+
 def search() -> Any:
-    stated: dict[str, Any] = {"free": ["gamma"], "bounds": {"gamma": (0.1, 0.3)}, "starts": 1}
-    return search_orbit(Chain(2, 1.0, 0.25, -1.0), mode=1, S=0.1, objective="Omega", **stated)
-
-
-def search_of_an_orbit() -> Any:
     omega, t = ca.SX.sym("omega"), ca.SX.sym("t")
     field = ca.vertcat(Y, -X - X**3 - 0.2 * Y + 0.1 * ca.cos(omega * t))
     duffing = OdeModel(
@@ -126,14 +132,15 @@ def search_goes_on(found: Any) -> Any:
 
 
 def front() -> Any:
-    stated: dict[str, Any] = {"free": ["gamma"], "bounds": {"gamma": (0.1, 0.3)}, "starts": 1}
-    return pareto_front(Chain(2, 1.0, 0.25, -1.0), "Omega", "gamma", points=3, mode=1, S=0.1, **stated)
+    orbit = follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1).orbits[-1]
+    return pareto_front("Omega", "gamma", orbit, over=["gamma"], bounds={"gamma": (0.1, 0.3)}, points=3)
 
 
 MAKERS: dict[str, Callable[[], Any]] = {
     "Bands": lambda: bands(RING),
     "Branch": lambda: rest().follow("mu", 0.1),
     "Certificate": lambda: member().certify(),
+    "Design": design,
     "Diagram": lambda: rest().follow("mu", 0.1).follow_all(depth=1),
     "FamilySeries": lambda: family().series(8),
     "EdgeCurve": lambda: softer().edge(1).curve("gamma", 0.26),
@@ -149,7 +156,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "ProvedStability": lambda: member().proved_stability,
     "ProvedStretch": lambda: family().certify(0.1, 0.2),
     "SearchResult": search,
-    "SearchResult of an orbit": search_of_an_orbit,
     "SmallestKick": kick,
     "Solution": solution,
     "SpecialPoint": lambda: rest().follow("mu", 0.1).special_points[0],
@@ -165,7 +171,6 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
     "Equilibrium": lambda equilibrium: equilibrium.follow("mu", 0.1).values,
     "Orbit": lambda orbit: orbit.follow("mu", 0.3, max_points=3).values,
     "SearchResult": search_goes_on,
-    "SearchResult of an orbit": search_goes_on,
     "SmallestKick": lambda found: found.orbit.floquet().multipliers,
     "Solution": lambda found: found.follow("mu", 1.2, max_points=3).solutions[-1].point.z,
     "SpecialPoint": lambda point: point.follow("mu", 0.05, max_points=3).values,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from lattices import GAINS, chain, dimer, fput, plane
 
-from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, follow_family, search_orbit
+from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, find_design, follow_family
 from casadi_skin.lattice.chain import declared_chain
 
 
@@ -227,15 +227,16 @@ def test_a_gauge_that_overflows_leaves_the_energy_out() -> None:
     assert chain(400, 1.0, 0.25, 1.0).hamiltonian is not None
 
 
-def test_lattices_go_to_other_processes_and_to_searches_as_models() -> None:
+def test_lattices_go_to_other_processes_and_to_designs_as_models() -> None:
     lattice = dimer(3)
     other = pickle.loads(pickle.dumps(lattice))
     y = np.linspace(0.1, 0.6, 6)
     assert accelerations(other, y) == pytest.approx(accelerations(lattice, y), rel=1e-15)
     changed = lattice.with_nominal((0.7, 1.1, 0.2, -1.0, 2.0))
     assert accelerations(changed, y) == pytest.approx(accelerations(lattice, y, changed.nominal), rel=1e-15)
-    found = search_orbit(lattice, mode=1, S=0.3, objective="Omega", free=["u"], bounds={"u": (0.4, 0.6)}, starts=1)
-    assert found.best.parameters["u"] == pytest.approx(0.4, abs=1e-6)
+    orbit = follow_family(lattice, 1, 0.3).orbits[-1]
+    found = find_design("Omega", orbit, over=["u"], bounds={"u": (0.4, 0.6)})
+    assert (found["u"], found.active) == (pytest.approx(0.4, abs=1e-12), ("u >= 0.4",))
 
 
 # Refusals -------------------------------------------------------------------------------------------------------------

@@ -260,13 +260,13 @@ select = { y_1 = 0.3 }
 [map]
 alpha = [1.0]
 """
-SEARCH = BASE.replace("[family]\nmode = 1\namplitude_max = 0.1\n", "") + (
-    '[search]\nobjective = "Omega"\nfree = ["S"]\nbounds = { S = [0.1, 0.2] }\nstarts = 1\n[map]\nalpha = [1.0]\n'
+DESIGN = BASE.replace("[family]\nmode = 1\namplitude_max = 0.1\n", "") + (
+    '[design]\nquantity = "Omega"\nover = ["S"]\nbounds = { S = [0.1, 0.2] }\nstarts = 1\n[map]\nalpha = [1.0]\n'
 )
 OF_EACH = {
     "family": BASE + "[stability]\n[map]\nmode = [1]\n",
     "orbit": ORBIT,
-    "search": SEARCH,
+    "design": DESIGN,
     "equilibrium": EQUILIBRIUM + '[continuation]\nparameter = "p"\nto = 1.0\n[map]\np = [0.2]\n',
 }
 

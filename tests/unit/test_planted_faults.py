@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -16,7 +15,7 @@ from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Si
 from casadi_skin.dynamics import evolve
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.follow.find import packed, space_of
-from casadi_skin.optimise.search import _front
+from casadi_skin.optimise.designs import undominated
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
@@ -73,10 +72,7 @@ def test_energy_on_both_sides_of_the_seam_of_a_ring_is_near_its_centre() -> None
 def test_a_point_of_a_front_is_better_in_one_quantity_than_every_other(
     values: list[tuple[float, float]], kept: list[tuple[float, float]]
 ) -> None:
-    optima = [SimpleNamespace(a=a, b=b) for a, b in values]
-    front = _front([SimpleNamespace(optima=optima)], "a", "b")  # type: ignore[list-item]
-    assert [tuple(row) for row in front.values.tolist()] == kept
-    assert front.dominated == len(values) - len(kept)
+    assert [values[k] for k in undominated(np.array(values))] == kept
 
 
 DIPS = [  # power of the rate beside the dip, floor, width, centre, depth, units of the state and of the parameter

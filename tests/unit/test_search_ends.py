@@ -1,4 +1,4 @@
-"""How searches end: flat directions, units that are far apart, and a parent that is killed."""
+"""How searches end: units that are far apart, and a parent that is killed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_skin import Chain, OdeModel, search_orbit
+from casadi_skin import OdeModel, search_orbit
 
 PARENT = """
 import os, sys, time
@@ -75,15 +75,6 @@ def test_a_parent_that_is_killed_leaves_no_process_running(tmp_path: Path) -> No
     for process in left:
         os.kill(process, signal.SIGKILL)
     assert left == []
-
-
-@pytest.mark.slow
-def test_a_flat_direction_is_told() -> None:
-    """One site has no neighbour, so that its frequency does not depend on gamma; at two sites it does."""
-    options = {"objective": "Omega", "free": ["gamma"], "S": 1.0, "starts": 2, "bounds": {"gamma": (0.1, 0.6)}}
-    flat = search_orbit(Chain(1, 1.0, 0.25, -1.0), **options)
-    assert "it is flat: neighbours along some direction of the free numbers do as well" in flat.reason
-    assert "flat" not in search_orbit(Chain(2, 1.0, 0.25, -1.0), **options).reason
 
 
 def in_units(size: float) -> tuple[OdeModel, object]:

@@ -1,6 +1,6 @@
 """The chain whose end breather keeps time best: least dOmega/dS at S = 1 over gamma.
 
-Run: python examples/search_steady_breather.py PICTURE.png
+Run: python examples/design_steady_breather.py PICTURE.png
 """
 
 import sys
@@ -9,19 +9,18 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family, search_orbit
-from casadi_skin.optimise.search import SearchResult
+from casadi_skin import Chain, find_design, follow_family
+from casadi_skin.optimise.designs import Design
 from casadi_skin.results.figures.style import style
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 
 
 @style()
-def main(picture: Path | str | None = None) -> SearchResult:
+def main(picture: Path | str | None = None) -> Design:
     """The gamma at which the frequency of the end breather changes least with its amplitude."""
-    result = search_orbit(
-        CHAIN, mode="last", S=1.0, objective="Omega_slope", free=("gamma",), bounds={"gamma": (0.0, 0.9)}, starts=4
-    )
+    orbit = follow_family(CHAIN, "last", 1.0).orbits[-1]
+    result = find_design("Omega_slope", of=orbit, over=["gamma"], bounds={"gamma": (0.0, 0.9)})
     if picture is not None:
         draw(result).savefig(picture, dpi=150)
     return result
@@ -35,13 +34,13 @@ def slope(gamma: float, h: float = 0.01) -> float:
     return float((8.0 * (right - left) - (far_right - far_left)) / (12.0 * h))
 
 
-def draw(result: SearchResult) -> Figure:
+def draw(result: Design) -> Figure:
     """dOmega/dS against gamma."""
     figure = Figure(figsize=(5.6, 3.6), layout="constrained")
-    axes, best = figure.subplots(), result.best
+    axes = figure.subplots()
     gammas = np.linspace(0.02, 0.9, 45)
     axes.semilogy(gammas, [slope(gamma) for gamma in gammas], "k-", lw=1, label="differences along families")
-    axes.semilogy(best.gamma, best.objective, "o", color="tab:red", mfc="none", ms=9, label="search")
+    axes.semilogy(result["gamma"], result.value, "o", color="tab:red", mfc="none", ms=9, label="design")
     axes.set(xlabel=r"$\gamma$", ylabel=r"$d\Omega/dS$ at $S = 1$", title=r"$N = j = 24,\ \alpha = 1,\ g = 1$")
     axes.legend(loc="upper center")
     return figure
@@ -49,4 +48,4 @@ def draw(result: SearchResult) -> Figure:
 
 if __name__ == "__main__":
     found = main(*sys.argv[1:2])
-    print(f"{found.reason}: gamma = {found.best.gamma:.9f}, dOmega/dS = {found.best.objective:.9f}")
+    print(f"{found.reason}: gamma = {found['gamma']:.9f}, dOmega/dS = {found.value:.9f}")

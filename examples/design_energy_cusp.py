@@ -1,6 +1,6 @@
 """Where real instability is born: the smallest gamma at which the energy along a family has an extremum.
 
-Run: python examples/search_energy_cusp.py PICTURE.png
+Run: python examples/design_energy_cusp.py PICTURE.png
 """
 
 import sys
@@ -9,23 +9,22 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family, search_orbit
-from casadi_skin.optimise.search import SearchResult
+from casadi_skin import Chain, find_design, follow_family
+from casadi_skin.optimise.designs import Design
 from casadi_skin.results.figures.style import style
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.25, g=1.0)
 
 
 @style()
-def main(picture: Path | str | None = None) -> SearchResult:
+def main(picture: Path | str | None = None) -> Design:
     """The smallest gamma with dE/dS = 0 at an S up to 2, on the family j = N."""
-    result = search_orbit(
-        CHAIN,
-        objective="gamma",
-        free=("S", "gamma"),
+    result = find_design(
+        "gamma",
+        of=follow_family(CHAIN, "last", 1.0).orbits[-1],
+        over=("S", "gamma"),
         bounds={"S": (0.05, 2.0), "gamma": (0.05, 0.5)},
-        constraints=[("energy_slope", 0.0, 0.0)],
-        starts=4,
+        subject_to=["energy_slope"],
     )
     if picture is not None:
         draw(result).savefig(picture, dpi=150)
@@ -41,14 +40,14 @@ def energy_slope(gamma: float, S: np.ndarray) -> np.ndarray:
     return (energy[1::2] - energy[::2]) / (at[1::2] - at[::2])
 
 
-def draw(result: SearchResult) -> Figure:
+def draw(result: Design) -> Figure:
     """dE/dS along families below, at and above the gamma found."""
     figure = Figure(figsize=(5.6, 3.6), layout="constrained")
-    axes, best = figure.subplots(), result.best
+    axes = figure.subplots()
     S = np.linspace(0.3, 1.6, 53)
-    for gamma, dashes in ((0.14, ":"), (best.gamma, "-"), (0.17, "--")):
+    for gamma, dashes in ((0.14, ":"), (result.value, "-"), (0.17, "--")):
         axes.plot(S, energy_slope(gamma, S), "k" + dashes, lw=1, label=rf"$\gamma = {gamma:.4f}$")
-    axes.plot(best.S, 0.0, "o", color="tab:red", mfc="none", ms=9, label="search")
+    axes.plot(result["S"], 0.0, "o", color="tab:red", mfc="none", ms=9, label="design")
     axes.axhline(0.0, color="0.6", lw=0.8)
     axes.set(xlabel=r"total amplitude $S$", ylabel=r"$dE/dS$", title=r"$N = j = 24,\ \alpha = 1,\ g = 1$")
     axes.legend(loc="upper center", ncols=2)
@@ -57,4 +56,4 @@ def draw(result: SearchResult) -> Figure:
 
 if __name__ == "__main__":
     found = main(*sys.argv[1:2])
-    print(f"{found.reason}: gamma = {found.best.gamma:.9f} at S = {found.best.S:.9f}")
+    print(f"{found.reason}: gamma = {found.value:.9f} at S = {found['S']:.9f}")

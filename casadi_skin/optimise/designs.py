@@ -1,0 +1,514 @@
+"""Designs: parameters at which a quantity of located solutions is best, by SLSQP on gradients of these.
+
+    minimise f(p, x_1(p), ..., x_m(p))  over p within bounds,  c_low <= c(p, x_1(p), ..., x_m(p)) <= c_high,
+
+where x_i(p) are quantities of special points, orbits and equilibria that are located again at every p, by continuation
+from the last design. Their derivatives by p are those of the equations that they solve, no differences of solutions;
+f and c are CasADi expressions in p and x. SLSQP: Kraft (1988), by scipy, in variables scaled by their ranges. Its end
+is an optimum where the conditions of Karush, Kuhn and Tucker hold, with multipliers by non-negative least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_skin.model.arguments import accepted_names, number_within, truth, whole
+from casadi_skin.model.result import Result, in_turn
+from casadi_skin.optimise.design_problem import DesignProblem, Quantity, Rows
+from casadi_skin.optimise.located import LocatedThing
+from casadi_skin.solve.watch import check_time_limit
+from casadi_skin.zero.problem import EPSILON, Array
+
+ENGINE = "SLSQP on gradients of located solutions"
+MOST_ITERATIONS = 300  # of SLSQP
+# Of the scaled objective, at which SLSQP ends; it starts again where that is no optimum yet. Near one it wanders.
+ACCURACIES = (1e-10, 1e-12, 1e-14, 1e-16)
+OPTIMAL, SOUGHT = 1e-7, 2e-8  # of the largest scaled gradient: what an optimum may leave, and what is sought
+FEASIBLE = 1e-9  # violation of a constraint, relative to 1 or its gradient
+NEAR_BOUND = 1e-7  # of its range: a number at its bound
+RESTORING_STEPS = 2  # of Newton's method on active constraints, from an end of SLSQP
+SHORTEST_SHARE = 2.0**-12  # of the way between two designs: the smallest step of the continuation
+FAR_WORSE = 1e10  # the scaled objective where not everything is located
+SAME_DESIGN_RTOL = 1e-5  # of the ranges: distance of designs that are one
+
+
+@dataclass(frozen=True, eq=False)
+class Design(Result):
+    """The best design, with the way to it.
+
+    Attributes:
+        quantity: what was optimised, in words; `maximise` says which way.
+        value: its value, with the estimated absolute `error`.
+        parameters: of the design, by name, each with its bounds in `bounds`.
+        located: the special points, orbits and equilibria there; of a family a `CosineOrbit`.
+        quantities: of each of them by name, numbers or arrays.
+        conditions: values of the constraints by name.
+        active: bounds that hold the optimum, such as "gamma >= 0".
+        multipliers: derivatives of the value by these bounds and by what equalities are equal to, by the same words.
+        optimality: what the conditions of first order leave of the gradient, relative to the largest on the way, by
+            parameters over their ranges; `optimality_error` is its estimated error.
+        path: designs on the way, shape (designs, parameters), and `values` the quantity there.
+        found: whether it is an optimum; how the search ended in `reason`.
+        others: further distinct optima, of other starts, best first.
+        engine: how it was found.
+    """
+
+    quantity: str
+    maximise: bool
+    value: float
+    error: float
+    parameters: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+    located: tuple[Any, ...]
+    quantities: tuple[Mapping[str, Any], ...]
+    conditions: Mapping[str, Array]
+    active: tuple[str, ...]
+    multipliers: Mapping[str, float]
+    optimality: float
+    optimality_error: float
+    path: Array
+    values: Array
+    found: bool
+    reason: str
+    others: tuple[Design, ...] = ()
+    engine: str = ENGINE
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{name} = {value:.10g}" for name, value in list(self.parameters.items())[:4])
+        more = ", ..." if len(self.parameters) > 4 else ""
+        return f"<Design: {self.quantity} = {self.value:.10g} at {named}{more}; {self.reason}>"
+
+    def __getitem__(self, name: str) -> Any:
+        """A parameter, or a quantity of the first located solution; raises KeyError for other names."""
+        known = {**self.quantities[0], **self.parameters}
+        if name not in known:
+            raise KeyError(accepted_names(name, known))
+        return known[name]
+
+    @property
+    def solution(self) -> Any:
+        """The first located solution."""
+        return self.located[0]
+
+    def is_near(self, other: Design) -> bool:
+        """Whether two designs are one."""
+        low, high = np.array(list(self.bounds.values())).T
+        scale = np.where(np.isfinite(high - low), high - low, np.maximum(1.0, np.abs(self.path[-1])))
+        apart = np.abs(self.path[-1] - other.path[-1]) / scale
+        return self.found == other.found and bool(np.max(apart) <= SAME_DESIGN_RTOL)
+
+
+@in_turn
+def find_design(
+    quantity: Quantity,
+    of: Any,
+    *,
+    over: Sequence[str],
+    subject_to: Sequence[Any] = (),
+    bounds: Mapping[str, Any] | None = None,
+    maximise: bool = False,
+    starts: int = 1,
+    seed: int = 0,
+    tolerance: float = 1e-8,
+    progress: Callable[[str], None] | None = None,
+) -> Design:
+    """Find parameters at which a quantity of located solutions is best.
+
+    Arguments:
+        quantity: a name of what `of` has (of a special point the parameter that it was found in; of an equilibrium or
+            an orbit a quantity that `gradient` takes; of an orbit of a family those of `FamilyExpressions`), a formula
+            in such names, or a function of them: it gets an object for each of `of`, with quantities as attributes,
+            and returns a scalar CasADi expression. Formulas about several name whose each is, "b.r - a.r".
+        of: a special point, an orbit or an equilibrium; or several: a list, whose items are a, b, ..., or by name.
+        over: names of the parameters that are free; of a family S too, of a chain alpha_n for one stiffness a site.
+        subject_to: constraints, each a quantity that is to vanish, or (quantity, lower, upper).
+        bounds: (lower, upper) by name, None where there is none: of the parameters, and of quantities.
+        maximise: whether the quantity is maximised.
+        starts: number of starts: the own parameters first, then a Halton sequence within the bounds.
+        seed: of that sequence.
+        tolerance: relative error of the value by discretisation, of orbits of a family.
+        progress: called with every design in words.
+
+    Returns:
+        The best `Design`. Where none is an optimum it is the last one, which says so in `found` and `reason`.
+
+    Raises:
+        ValueError, TypeError: arguments that are not accepted, before anything is solved.
+        ArithmeticError: what is optimised is not located at any start.
+    """
+    truth("maximise", maximise)
+    number_within("tolerance", tolerance, 1e-12, 1e-2)
+    count, seed = whole("starts", starts, 1), whole("seed", seed, 0)
+    problem = DesignProblem.of(quantity, of, over, subject_to, bounds, maximise)
+    return best_design(problem, problem.places(count, seed), tolerance, progress)
+
+
+def best_design(
+    problem: DesignProblem, starts: Sequence[Array], tolerance: float, progress: Callable[[str], None] | None = None
+) -> Design:
+    """The best design from several starts; raises ArithmeticError where nothing is located at any."""
+    found = list[Design]()
+    for start in starts:
+        one = Search(problem, progress).optimum(start, tolerance)
+        if one is not None and not any(one.is_near(other) for other in found):
+            found.append(one)
+    if not found:
+        raise ArithmeticError("find_design: what is optimised is not located at any start")
+    found.sort(key=lambda one: (not one.found, -one.value if problem.maximise else one.value))
+    return replace(found[0], others=tuple(one for one in found[1:] if one.found))
+
+
+# The way to an optimum from one start ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """An active bound or constraint, in words, and the normal that points to its inner side, in scaled parameters.
+
+    `row` is that of the constraint, 0 of a parameter, and `gap` how far inside the design is; `unit` turns a weight
+    into the derivative of the value by it.
+    """
+
+    words: str
+    normal: Array
+    row: int
+    gap: float
+    unit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """The conditions of first order: what is left of the gradient, violation, and bounds with their weights."""
+
+    optimality: float
+    violation: float
+    worst: str
+    bounds: Sequence[tuple[Bound, float]]
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is an optimum."""
+        return self.optimality <= OPTIMAL and self.violation <= FEASIBLE
+
+
+class Search:
+    """The designs from one start on."""
+
+    def __init__(self, problem: DesignProblem, progress: Callable[[str], None] | None) -> None:
+        self.problem, self.progress, self.sign = problem, progress, -1.0 if problem.maximise else 1.0
+        self.things, self.at = problem.things, np.repeat(problem.values, problem.counts)
+        self.path, self.values = list[Array](), list[float]()
+        self.size = 0.0  # of the largest scaled gradient on the way
+        self._last: tuple[Array, Rows] = np.empty(0), (np.empty(0), np.empty((0, 0)))
+
+    # Designs --------------------------------------------------------------------------------------------------------
+
+    def moved(self, p: Array) -> bool:
+        """Locate everything at p, by continuation from the last design, in halved steps where one is too long."""
+        start, done, share, things = self.at, 0.0, 1.0, self.things
+        while done < 1.0 and np.any(p != start):
+            check_time_limit(f"design {len(self.path) + 1}")
+            ahead = min(1.0, done + share)
+            to = p if ahead == 1.0 else start + ahead * (p - start)
+            near = self._near(things, dict(zip(self.problem.over, to.tolist(), strict=True)))
+            if near is None:
+                share *= 0.5
+                if share < SHORTEST_SHARE:
+                    return False
+            else:
+                done, share, things = ahead, 2.0 * share, near
+        self.things, self.at = things, p
+        return True
+
+    @staticmethod
+    def _near(things: Sequence[LocatedThing], values: Mapping[str, float]) -> tuple[LocatedThing, ...] | None:
+        found = list[LocatedThing]()
+        for thing in things:
+            near = thing.near(values)
+            if near is None:
+                return None
+            found.append(near)
+        return tuple(found)
+
+    def rows(self, p: Array) -> Rows | None:
+        """Objective and constraints at p; None where not everything is located there."""
+        if np.array_equal(p, self._last[0]):
+            return self._last[1]
+        if not self.moved(p):
+            return None
+        found = rows, slopes = self.problem.evaluated(self.things)
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(slopes))):
+            return None
+        self._last, self.size = (
+            (p.copy(), found),
+            max(self.size, float(np.max(np.abs(slopes[0] * self.problem.scales)))),
+        )
+        self.path.append(p.copy())
+        self.values.append(float(rows[0]))
+        if self.progress is not None:
+            named = ", ".join(f"{name} = {value:.8g}" for name, value in zip(self.problem.over[:4], p, strict=False))
+            self.progress(f"design {len(self.path)}: {self.problem.quantity} = {rows[0]:.8g} at {named}")
+        return found
+
+    def optimum(self, p: Array, tolerance: float) -> Design | None:
+        """The end of SLSQP, on finer discretisations until it is at the tolerance; None without the start."""
+        if self.rows(p) is None:
+            return None
+        while True:
+            p, words = self._solved(p)
+            conditions, finer = self.conditions(p), [thing.finer() for thing in self.things]
+            error, slope_error = self._errors(conditions)
+            if error <= tolerance * max(1.0, abs(self._last[1][0][0])) or all(thing is None for thing in finer):
+                return self._design(p, conditions, (error, slope_error), words)
+            self.things = tuple(two or one for one, two in zip(self.things, finer, strict=True))
+            self._last = np.empty(0), self._last[1]
+            if self.rows(p) is None:
+                return None
+
+    # SLSQP, in x = p/scales, with objective and constraints over the sizes of their first gradients -------------------
+
+    def _solved(self, p: Array) -> tuple[Array, str]:
+        """The best end of SLSQP, which starts again while that is no optimum; its last words."""
+        ends = list[tuple[bool, float, Array, str]]()
+        for accuracy in ACCURACIES:
+            p, words = self._run(p, self._objective, accuracy, constrained=True)
+            p = self._on_constraints(p)
+            conditions = self.conditions(p)
+            ends.append((conditions.violation > FEASIBLE, conditions.optimality, p, words))
+            if conditions.holds and conditions.optimality <= SOUGHT:
+                break
+        violated, _, p, words = min(ends, key=lambda end: end[:2])
+        if violated:
+            p, _ = self._run(p, self._violation, ACCURACIES[-1], constrained=False)
+        self.rows(p)
+        return p, words
+
+    def _on_constraints(self, p: Array) -> Array:
+        """The design nearby where active constraints hold to rounding, which SLSQP leaves earlier."""
+        for _ in range(RESTORING_STEPS):
+            held = [bound for bound, weight in self.conditions(p).bounds if bound.row and weight > 0.0]
+            if any(bound.gap for bound in held):
+                step = np.linalg.lstsq(np.array([b.normal for b in held]), -np.array([b.gap for b in held]))[0]
+                moved = np.clip(p + step * self.problem.scales, *self.problem.ends)
+                p = moved if self.rows(moved) is not None else p
+        return p
+
+    def _objective(self, found: Rows, first: Rows) -> tuple[float, Array]:
+        factor = self.sign / (self.size or 1.0)
+        return factor * float(found[0][0] - first[0][0]), factor * found[1][0]
+
+    def _violation(self, found: Rows, first: Rows) -> tuple[float, Array]:
+        """Half the sum of squares of what constraints are off by."""
+        lower, upper = (np.array([row[k] for row in self.problem.rows]) for k in (1, 2))
+        off = np.maximum(found[0][1:] - upper, 0.0) - np.maximum(lower - found[0][1:], 0.0)
+        return 0.5 * float(off @ off), off @ found[1][1:]
+
+    def _run(
+        self, p: Array, objective: Callable[[Rows, Rows], tuple[float, Array]], accuracy: float, constrained: bool
+    ) -> tuple[Array, str]:
+        from scipy.optimize import minimize
+
+        scales, (low, high), first = self.problem.scales, self.problem.ends, self.rows(p)
+        assert first is not None
+        last = first
+
+        def at(x: Array) -> tuple[Rows, bool]:
+            """The rows at x, those of the last design where it is not located."""
+            nonlocal last
+            found = self.rows(np.clip(x * scales, low, high))
+            last = last if found is None else found
+            return last, found is not None
+
+        def value(x: Array) -> Any:
+            found, there = at(x)
+            f, slopes = objective(found, first)
+            return f if there else FAR_WORSE, slopes * scales
+
+        constraints = list[dict[str, Any]]()
+        for row, (_, lower, upper) in enumerate(self.problem.rows if constrained else (), start=1):
+            height = float(np.max(np.abs(first[1][row] * scales))) or 1.0
+            for bound, side in ((lower, 1.0 / height), (upper, -1.0 / height)):
+                if math.isfinite(bound) and not (lower == upper and side < 0.0):
+                    kind = "eq" if lower == upper else "ineq"
+                    fun: Any = lambda x, k=row, b=bound, s=side: s * (at(x)[0][0][k] - b)  # noqa: E731
+                    jac: Any = lambda x, k=row, s=side: s * at(x)[0][1][k] * scales  # noqa: E731
+                    constraints.append({"type": kind, "fun": fun, "jac": jac})
+        solve: Any = minimize  # its stub wants arguments of every method
+        result = solve(
+            value, p / scales, jac=True, method="SLSQP", bounds=list(zip(low / scales, high / scales, strict=True)),
+            constraints=constraints, options={"ftol": accuracy, "maxiter": MOST_ITERATIONS},
+        )  # fmt: skip
+        end = np.clip(result.x * scales, low, high)
+        return (end if self.rows(end) is not None else self.at), " ".join(str(result.message).split())
+
+    # Conditions of optimality ---------------------------------------------------------------------------------------
+
+    def conditions(self, p: Array) -> Conditions:
+        """The conditions of Karush, Kuhn and Tucker at a design: gradient = sum of normals times weights >= 0."""
+        from scipy.optimize import nnls
+
+        problem, found = self.problem, self.rows(p)
+        assert found is not None
+        (rows, slopes), size = (found[0], found[1] * problem.scales), self.size or 1.0
+        active, violation, worst = list[Bound](), 0.0, ""
+        for k, (name, scale, *ends) in enumerate(zip(problem.over, problem.scales, *problem.ends, strict=True)):
+            for end, side, sign in zip(ends, (1.0, -1.0), (">=", "<="), strict=True):
+                if abs(p[k] - end) <= NEAR_BOUND * scale:
+                    active.append(Bound(f"{name} {sign} {end:.10g}", side * np.eye(p.size)[k], 0, 0.0, side / scale))
+        for row, (name, lower, upper) in enumerate(problem.rows, start=1):
+            height, gap = max(1.0, float(np.max(np.abs(slopes[row])))), max(lower - rows[row], rows[row] - upper, 0.0)
+            if gap / height > violation:
+                violation, worst = gap / height, f"{name} is off by {gap:.3g}"
+            for end, side, sign in ((lower, 1.0, ">="), (upper, -1.0, "<=")):
+                if abs(rows[row] - end) <= NEAR_BOUND * height:
+                    words = f"{name} {'=' if lower == upper else sign} {end:.10g}"
+                    active.append(Bound(words, side * slopes[row], row, side * (rows[row] - end), side))
+        left, weights = self.sign * slopes[0], np.zeros(len(active))
+        if active:
+            normals = np.array([bound.normal for bound in active]).T
+            heights = np.maximum(np.linalg.norm(normals, axis=0), 1e-300)
+            weights = nnls(normals / heights, left)[0] / heights
+            left = left - normals @ weights
+        bounds = list(zip(active, weights.tolist(), strict=True))
+        return Conditions(float(np.max(np.abs(left))) / size, violation, worst, bounds)
+
+    def _errors(self, conditions: Conditions) -> tuple[float, float]:
+        """Estimated errors of the value, also by what the constraints are off by, and of the optimality."""
+        rows, slopes = self.problem.errors(self.things)
+        held = sum(weight * (rows[bound.row] + abs(bound.gap)) for bound, weight in conditions.bounds if bound.row)
+        return float(rows[0] + held + EPSILON * abs(self.values[-1])), float(
+            np.max(slopes[0] * self.problem.scales)
+        ) / (self.size or 1.0)
+
+    def _design(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
+        problem, multipliers = self.problem, dict[str, float]()
+        for bound, weight in conditions.bounds:
+            multipliers[bound.words] = multipliers.get(bound.words, 0.0) + self.sign * bound.unit * weight
+        active = tuple(words for words in multipliers if " = " not in words)
+        reason = f"the optimum sits on a bound: {', '.join(active)}" if active else "found an optimum inside its bounds"
+        if conditions.violation > FEASIBLE:
+            reason = f"the constraints are not met; {conditions.worst} at the nearest design"
+        elif not conditions.holds:
+            reason = f"no optimum, {conditions.optimality:.1e} of the gradient is left: {words}"
+        values = np.split(self._last[1][0][1:], np.cumsum(problem.sizes)[:-1]) if problem.sizes else []
+        return Design(
+            quantity=problem.quantity, maximise=problem.maximise, value=float(self._last[1][0][0]), error=errors[0],
+            parameters=dict(zip(problem.over, p.tolist(), strict=True)),
+            bounds=dict(zip(problem.over, map(tuple, problem.ends.T.tolist()), strict=True)),
+            located=tuple(thing.solution for thing in self.things),
+            quantities=tuple(quantities_of(thing) for thing in self.things),
+            conditions={c.name: part for c, part in zip(problem.conditions, values, strict=True)},
+            active=active, multipliers=multipliers, optimality=conditions.optimality, optimality_error=errors[1],
+            path=np.array([*self.path, p]), values=np.array([*self.values, self._last[1][0][0]]),
+            found=conditions.holds, reason=f"{reason}; {len(self.path)} designs",
+        )  # fmt: skip
+
+
+def quantities_of(thing: LocatedThing) -> dict[str, Any]:
+    """Quantities of what is located by name, numbers or arrays."""
+    expressions, names = thing.expressions, thing.expressions.names
+    columns = [ca.densify(ca.SX(expressions.value(name))) for name in names]
+    values = ca.Function("quantities", [expressions.symbols], columns).call([thing.numbers])
+    arrays = [np.array(value).ravel() for value in values]
+    return {name: float(v[0]) if v.size == 1 else v for name, v in zip(names, arrays, strict=True)}
+
+
+# The Pareto front of two quantities: points where neither improves unless the other worsens ---------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ParetoFront(Result):
+    """Points of the front by ascending second quantity.
+
+    Attributes:
+        points: the designs.
+        values: of both quantities, shape (points, 2).
+        dominated: number of designs removed.
+        complete: whether every sweep found an optimum.
+        names: of both quantities.
+    """
+
+    points: tuple[Design, ...]
+    values: Array
+    dominated: int
+    complete: bool
+    names: tuple[str, str]
+
+    def __repr__(self) -> str:
+        return f"<ParetoFront: {len(self.points)} points of {self.names[0]} against {self.names[1]}>"
+
+
+@in_turn
+def pareto_front(
+    first: str,
+    second: str,
+    of: Any,
+    *,
+    over: Sequence[str],
+    points: int = 10,
+    starts: int = 1,
+    seed: int = 0,
+    tolerance: float = 1e-8,
+    subject_to: Sequence[Any] = (),
+    bounds: Mapping[str, Any] | None = None,
+) -> ParetoFront:
+    """The front of the least `first` against the least `second` quantity, by a sweep of bounds of the second.
+
+    Arguments:
+        first, second: names of quantities, or formulas.
+        points: number of points.
+        of, over, starts, seed, tolerance, subject_to, bounds: as in `find_design`; each point starts from the one
+            before as well.
+
+    Raises:
+        ValueError, TypeError: arguments that are not accepted, or an end of the front without an optimum.
+    """
+    whole("points", points, 2)
+    whole("starts", starts, 1)
+
+    def least(quantity: str, limit: float | None = None, near: Sequence[Design] = ()) -> Design:
+        held = [*subject_to, (first, None, None), (second, None, limit)]
+        problem = DesignProblem.of(quantity, of, over, held, bounds, False)
+        own = problem.places(starts, whole("seed", seed, 0))
+        return best_design(problem, [*(design.path[-1] for design in near), *own], tolerance)
+
+    def both(design: Design) -> tuple[float, float]:
+        values = [float(design.conditions[name][0]) for name in (first, second)]
+        return values[0], values[1]
+
+    ends = [least(second), least(first)]
+    for end in ends:
+        if not end.found:
+            raise ValueError(f"pareto_front: the least {end.quantity} has no optimum: {end.reason}")
+    low, high = (both(end)[1] for end in ends)
+    designs, near = list[Design](), ends[0]
+    for limit in np.linspace(low, high, points)[
+        :-1
+    ]:  # the first has the least `first` of those with the least `second`
+        design = least(first, float(limit), [near])
+        designs.append(design)
+        near = design if design.found else near
+    every = [*designs, ends[1]]
+    found = [one for design in every if design.found for one in (design, *design.others)]
+    values = np.array([both(one) for one in found])
+    kept = undominated(values)
+    return ParetoFront(
+        tuple(found[k] for k in kept), values[kept], len(found) - len(kept), all(one.found for one in every),
+        (first, second),
+    )  # fmt: skip
+
+
+def undominated(values: Array) -> list[int]:
+    """Rows than which no other is as good in both columns and better in one, by the second; of equal ones the first."""
+    found = list[int]()
+    for k, row in enumerate(values):
+        no_worse, same = np.all(values <= row, axis=1), np.all(values == row, axis=1)
+        if not (np.any(no_worse & ~same) or np.any(same[:k])):
+            found.append(k)
+    return sorted(found, key=lambda k: float(values[k, 1]))
