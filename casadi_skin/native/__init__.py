@@ -56,6 +56,7 @@ FUNCTIONS = {
     "bordered_steps": "aiaaaiaaaa",
     "collocation_factors": "waaarwwww",
     "collocation_solve": "wwiw",
+    "collocation_solve_transposed": "wwiw",
     "collocation_equations": "waaww",
     "collocation_jacobians": "waaiaaw",
     "largest_terms": "iaaaaa",

@@ -19,6 +19,7 @@
 
 #include "kernel.h"
 
+static const double ROUNDING = 1e-13; /* of the entries of a scalar in long rows */
 enum { EIGHT = 8, PANEL = 4, TOGETHER = 4, ALIGNED = 64, SWEEPS = 20 };
 typedef double chunk __attribute__((vector_size(REGISTER * sizeof(double)), may_alias));
 typedef int64_t bits __attribute__((vector_size(REGISTER * sizeof(double)), may_alias));
@@ -324,6 +325,103 @@ KERNEL(collocation_solve)(const void *of, double *memory, int64_t count, double 
     return 0;
 }
 
+/* Transposed: by the same factors, with the columns of what is above ------------------------------------------------ */
+
+static inline double dot(int64_t count, const double *x, const double *y)
+{
+    chunk sums = {0};
+    double sum = 0.0;
+    for (int64_t i = 0; i < count; i += REGISTER)
+        sums += *chunks(x + i) * *chunks(y + i);
+    for (int i = 0; i < REGISTER; i++)
+        sum += sums[i];
+    return sum;
+}
+
+/* y, (height), whose first `pivots` numbers solve U^T y = x; the others are zero. */
+static void upper_transposed(int64_t pivots, int64_t height, const double *block, const double *x, double *y)
+{
+    memset(y, 0, (size_t)height * sizeof(double));
+    for (int64_t k = 0; k < pivots; k++)
+        y[k] = (x[k] - dot(height, block + k * height, y)) * block[k * height + k];
+}
+
+/* x, (n), less what n columns make of y. */
+static void take_off_transposed(int64_t height, const double *columns, int64_t n, const double *y, double *x)
+{
+    for (int64_t c = 0; c < n; c++)
+        x[c] -= dot(height, columns + c * height, y);
+}
+
+/* The first `pivots` numbers of y, zero before, from x and the others, which stay, by the transposed lower factor. */
+static void lower_transposed(int64_t pivots, int64_t height, const double *block, const double *x, double *y)
+{
+    for (int64_t k = pivots - 1; k >= 0; k--)
+        y[k] = x[k] - dot(height, block + k * height, y);
+}
+
+/* The solution of the transposed system in the place of its right-hand side: that is in the order of the unknowns, the
+   solution in that of the equations. */
+static void solve_transposed(const layout *l, factors f, double *x)
+{
+    const int64_t n = l->n, m = l->m, longs = l->longs, inner = n * (l->R - 1), rows = n * l->R, K = l->K;
+    const int64_t *height = l->heights, *width = l->widths, bottom = K * rows, last = 2 * n + m;
+    double *y = f.room, *ends = y + height[0] + height[1] + height[2], *front = ends + height[2], *own = front + n;
+    const double *added = x + bottom + l->conditions; /* that of the long rows, which all blocks add to */
+    memcpy(ends, x, (size_t)n * sizeof(double)), memcpy(ends + n, x + bottom, (size_t)(n + m) * sizeof(double));
+    for (int64_t k = 0; k < K; k++) { /* the upper factor, in the order of elimination */
+        const double *block = f.blocks + k * height[0] * width[0], *beside = block + inner * height[0];
+        double *here = x + k * rows, *next = k < K - 1 ? here + rows : ends + n;
+        upper_transposed(inner, height[0], block, here + n, y);
+        memcpy(here + n, y, (size_t)inner * sizeof(double));
+        take_off_transposed(height[0], beside, n, y, k ? here : ends);
+        take_off_transposed(height[0], beside + n * height[0], n, y, next);
+        take_off_transposed(height[0], beside + 2 * n * height[0], m, y, ends + 2 * n);
+        if (k == 0)
+            continue;
+        block = f.nodes + (k - 1) * height[1] * width[1], beside = block + n * height[1];
+        upper_transposed(n, height[1], block, here, y);
+        memcpy(here, y, (size_t)n * sizeof(double));
+        take_off_transposed(height[1], beside, n, y, ends);
+        take_off_transposed(height[1], beside + n * height[1], n, y, next);
+        take_off_transposed(height[1], beside + 2 * n * height[1], m, y, ends + 2 * n);
+    }
+    upper_transposed(last, height[2], f.last, ends, y);
+    memcpy(ends, y, (size_t)last * sizeof(double));
+    memset(y, 0, (size_t)height[2] * sizeof(double));
+    lower_transposed(last, height[2], f.last, ends, y);
+    for (int64_t i = 0; i < last; i++) {
+        const int64_t row = f.last_order[i] - n;
+        *(row < 0 ? front + row + n : x + bottom + row) = row < 0 ? y[i] : y[i] * f.scales[bottom + row];
+    }
+    for (int64_t k = K - 1; k >= 0; k--) { /* the lower factor, backwards: the node's, then the interval's */
+        double *here = x + k * rows;
+        if (k) {
+            const int32_t *order = f.node_orders + (k - 1) * 2 * n;
+            memset(y, 0, (size_t)height[1] * sizeof(double));
+            memcpy(y + n, front, (size_t)n * sizeof(double));
+            memcpy(y + 2 * n, added, (size_t)longs * sizeof(double));
+            lower_transposed(n, height[1], f.nodes + (k - 1) * height[1] * width[1], here, y);
+            for (int64_t i = 0; i < 2 * n; i++)
+                *(order[i] < n ? front + order[i] : own + order[i] - n) = y[i];
+        }
+        memset(y, 0, (size_t)height[0] * sizeof(double));
+        memcpy(y + inner, k ? own : front, (size_t)n * sizeof(double));
+        memcpy(y + rows, added, (size_t)longs * sizeof(double));
+        lower_transposed(inner, height[0], f.blocks + k * height[0] * width[0], here + n, y);
+        for (int64_t i = 0; i < rows; i++)
+            here[f.orders[k * rows + i]] = y[i] * f.scales[k * rows + i];
+    }
+}
+
+KERNEL(collocation_solve_transposed)(const void *of, double *memory, int64_t count, double *x)
+{
+    const layout *l = of;
+    for (int64_t i = 0, size = l->n * (l->K * l->R + 1) + l->m; i < count; i++)
+        solve_transposed(l, within(l, memory), x + i * size);
+    return 0;
+}
+
 /* Factors ---------------------------------------------------------------------------------------------------------- */
 
 /* 1 over the power of 2 below x, 1 of a number that is zero, tiny or not finite. */
@@ -427,10 +525,14 @@ static void balance(const layout *l, factors f, double *units)
         }
     }
     for (int64_t j = 0; j < l->m; j++) {
-        double most = 0.0;
+        double most = 0.0, in_longs = 0.0;
         for (int64_t k = 0; k < K; k++)
             for (int64_t i = 0; i < n; i++)
                 grow(&most, fabs(f.blocks[(k * width + inner + 2 * n + j) * height + inner + i]) / units[i]);
+        for (int64_t i = 0; i < l->longs; i++)
+            grow(&in_longs, fabs(f.longs[((K + 1) * n + j) * l->longs + i]));
+        if (most <= ROUNDING * in_longs) /* derivatives by it are rounding: long rows alone have it */
+            most = in_longs;
         units[K * rows + n + j] = scale_of(most);
     }
     for (int64_t i = n; i < K * rows + n; i++)

@@ -14,6 +14,7 @@ UNITS = "iiiaarr"
 NEWTON = "i" + 7 * "r"
 ENDS = ("CONVERGED", "DIVERGED", "TOO_MANY_ITERATIONS", "SINGULAR")  # of Newton's method, as equations.c numbers them
 LAYERS = 4 * "i" + 2 * "a"
+MOST_STATES = 30  # of collocation whose blocks are taken for dense; of rings, SuperLU takes 1.5 times as long at 30
 
 
 class CollocationKernel:
@@ -99,6 +100,7 @@ class CollocationKernel:
         steps, sign = found.tolist()
         return ENDS[end], int(steps), z, (residual, nonzeros), (memory, sign)
 
-    def solve(self, memory: Array, x: Array) -> None:
-        """Overwrite right-hand sides, (count, size), by solutions with the factors in `memory`."""
-        self._kernels["collocation_solve"](self.layout, memory, len(x), x)
+    def solve(self, memory: Array, x: Array, transposed: bool = False) -> None:
+        """Overwrite right-hand sides, (count, size), by solutions with factors in `memory`, or of the transpose."""
+        name = "collocation_solve_transposed" if transposed else "collocation_solve"
+        self._kernels[name](self.layout, memory, len(x), x)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.native import MOST, BorderedKernel, Structure, give_back, kernels
-from casadi_skin.native.collocation import CollocationKernel
+from casadi_skin.native.collocation import MOST_STATES, CollocationKernel
 from casadi_skin.native.dense import DenseKernel
 from casadi_skin.solve.intervals import MANY_STATES, IntervalFactors
 from casadi_skin.zero.collocation import CollocationEquations
@@ -104,7 +104,6 @@ class SparseFactors:
 
 
 SINGULAR_GROWTH = 1e12  # growth of residuals, in units of both (`Problem.units_at`), that only a singular matrix gives
-MOST_STATES = 30  # of collocation whose blocks are taken for dense; of rings, SuperLU takes 1.5 times as long at 30
 LONG_ROW_FACTOR = 1e-2  # factor of rows through most unknowns, as of integrals and of the arclength
 DENSE_UNKNOWNS = 24  # up to which dense factors take less time than sparse ones, measured
 # States: blocks between ends of intervals of more fill the factors, in another order 2 to 10 times less.
@@ -377,10 +376,11 @@ def _band_kernel(problem: Problem) -> BorderedKernel | None:
 
 def _collocation_kernel(problem: Problem) -> CollocationKernel | None:
     """The compiled kernel of collocation equations with few states, as many as unknowns but one."""
-    if not (kernels() and isinstance(problem, CollocationEquations) and problem.equations == problem.size - 1):
+    if not (kernels() and isinstance(problem, CollocationEquations) and problem.pattern[0].max() == problem.size - 2):
         return None
     n, scalars = problem.formulation.states, problem.size - problem.states
-    counts = n + scalars - 1 - problem.formulation.integrals, problem.formulation.integrals
+    conditions = int(problem.formulation.conditions.numel())
+    counts = conditions, n + scalars - 1 - conditions  # all other rows are long: integrals, and what augments them
     if n > MOST_STATES:
         return None
     sizes, limits = (n, problem.resolution, problem.table.ends.size, scalars), (SINGULAR_GROWTH, ACCURATE_RESIDUAL)

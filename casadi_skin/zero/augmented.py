@@ -25,11 +25,13 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from casadi_skin.native import give_back, kernels
+from casadi_skin.native.collocation import MOST_STATES, CollocationKernel
 from casadi_skin.zero.balanced import dense, is_mostly_zero
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.kinds import DOUBLING, HOPF, KINDS, TORUS
@@ -41,8 +43,12 @@ from casadi_skin.zero.statement import Statement
 
 RESTING_COMPONENT_RATIO = 1e-5  # of the largest component: what a smaller one changes by is not known from its size
 LONG_ROW_FACTOR = 1e-2  # of the rows of a border, which are no pivots then
+BORDER_RESIDUAL = 1e-12  # of the largest terms: what solutions by intervals may leave
 SUM_ROUNDING = 4.0  # times the root of the sum of squares of terms of G, each rounded: that of G, null vectors among it
 DIFFERENCE_STEP = EPSILON ** (1.0 / 3.0)  # of the sizes of unknowns: that of differences of the Jacobian
+
+
+BothWays: TypeAlias = tuple[Array, Array]  # solutions x of K x = b and y of K^T y = c
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +93,16 @@ class Singularity:
         known = statement.with_free(self.first).formulation(walking)
         if not self.added:
             return known
+        key, made = (*statement.free, walking, self.first, self.added), statement.formulations
+        if key in made:
+            return made[key]
         kind, last = type(known.scalars), int(known.scalars.numel()) - 1
         scalars = kind.sym("scalars", last + self.added + 1)
         values = [known.field, known.conditions, known.integrands]
         inner = ca.vertcat(scalars[:last], scalars[last + self.added])
         field, conditions, integrands = ca.substitute(values, [known.scalars], [inner])
-        return replace(known, scalars=scalars, field=field, conditions=conditions, integrands=integrands)
+        made[key] = replace(known, scalars=scalars, field=field, conditions=conditions, integrands=integrands)
+        return made[key]
 
 
 class Augmented(Problem):
@@ -181,6 +191,9 @@ class Augmented(Problem):
     def times(self, nonzeros: Array, step: Array) -> Array:
         return Problem.times(self, nonzeros, step)
 
+    def null_vector(self, z: Array, solve: Solve, weights: Array) -> tuple[Array, bool]:
+        return Problem.null_vector(self, z, solve, weights)
+
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         at = z.tobytes() + self.numbers.tobytes()
         if self._last is None or self._last[0] != at:
@@ -254,6 +267,15 @@ class SingularProblem(Augmented, BoundaryProblem):
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
         return super().kept(f"{name} of a {self.singularity.kind}", make)
 
+    @property
+    def shared(self) -> dict[Any, Any]:
+        """Of the last singularity of each kind."""
+        known, kind = super().shared, self.singularity.kind
+        if kind not in known or known[kind][0] is not self.singularity:
+            known[kind] = self.singularity, {}
+        found: dict[Any, Any] = known[kind][1]
+        return found
+
     def own(self, z: Array) -> tuple[Array, Array]:
         return self.discretisation(z, self.numbers)
 
@@ -297,12 +319,12 @@ class SingularProblem(Augmented, BoundaryProblem):
             width = self.copies[2]
             B, rows = self._leading(nonzeros, self.equations, width), np.full(self.equations, np.max(given.sizes))
             rows[: k - n] = sizes[: k - n]
-            return Border.of(B, rows, sizes[:width], given.shape, self._order(1, width))
+            return Border.of(B, rows, sizes[:width], given.shape, self._condensed)
         field, turn, one = self._leading(nonzeros, k - n, k), given.turn, np.eye(n)
         turn = turn if turn.size else one
         if given.kind == DOUBLING:
             B = field + _blocks((k - n, 0, turn), (k - n, k - n, one))
-            return Border.of(B, sizes[:k], sizes[:k], (1, 1), self._order(1, k))
+            return Border.of(B, sizes[:k], sizes[:k], (1, 1), self._condensed)
         second, back, kappa = field.moved(k - n, k), np.linalg.inv(turn), z[self.added_index]
         end, start, shifts = 2 * (k - n), z[:n], int(given.autonomous)
         closing = [
@@ -314,21 +336,49 @@ class SingularProblem(Augmented, BoundaryProblem):
             closing += [(end + n, 2 * k, -velocity[:, None]), (2 * k + 1, 0, (velocity / given.sizes**2)[None])]
         columns = np.concatenate([sizes[:k], sizes[:k], np.ones(shifts)])
         B, rows = field + second + _blocks(*closing), np.append(columns, 1.0)
-        return Border.of(B, rows, columns, (2, 1), self._order(2, columns.size))
+        return Border.of(B, rows, columns, (2, 1), self._condensed)
 
-    def _order(self, copies: int, size: int) -> Indices:
-        """An order of the columns of B in which its factors are sparse: copies side by side at ends of intervals."""
+    def _condensed(self, K: Triplets, b: Array, c: Array) -> BothWays | None:
+        """Solutions x of K x = b and y of K^T y = c interval by interval, copies side by side as states.
 
-        def made() -> Indices:
-            order, k, n = self.elimination_order, self.states, self.formulation.states
-            order = order[order < k]
-            inner = k - (self.resolution + 1) * n
-            ends = [order[inner:].reshape(-1, n) + copy * k for copy in range(copies)]
-            parts = [*(order[:inner] + copy * k for copy in range(copies)), np.hstack(ends).ravel()]
-            return np.concatenate([*parts, np.arange(copies * k, size)])
+        None without the kernel, and where they leave residuals, as beside branch points that no parameter moves.
+        """
+        size, copies, n = len(b), self.copies[0], self.copies[0] * self.formulation.states
+        if not kernels() or n > MOST_STATES:
+            return None
 
-        order: Indices = self.kept("order", made)
-        return order
+        def made() -> tuple[CollocationKernel, Indices, Indices, tuple[Indices, Indices]]:
+            counts = copies * self.states - n, copies * self.states
+            places = [np.arange(count).reshape(-1, copies, n // copies).swapaxes(0, 1).ravel() for count in counts]
+            rows, columns = (np.append(some, range(some.size, size)) for some in places)
+            closing, row, column = K.rows == size - 1, rows[K.rows], columns[K.columns]
+            inside = np.flatnonzero(~closing)
+            inside = inside[np.argsort(column[inside], kind="stable")]
+            own = KINDS[self.singularity.kind].angle == 0.0  # else what closes the function, by its ends
+            most = n + size - counts[1] - 1
+            conditions = int(self.formulation.conditions.numel()) if own else most
+            sizes = n, self.resolution, self.table.ends.size, size - counts[1]
+            data = (conditions, most - conditions), (row[inside], column[inside])
+            kernel = CollocationKernel(sizes, *data, (np.inf, np.inf), np.ones(size - 1))
+            return kernel, inside, np.flatnonzero(closing), (rows, columns)
+
+        kernel, inside, closing, (rows, columns) = self.kept("condensed", made)
+        row = np.bincount(columns[K.columns[closing]], K.values[closing], size)
+        factors = kernel.factors(K.values[inside], row, None, 1.0)
+        if factors is None:
+            return None
+        found, good, most = list[Array](), True, BORDER_RESIDUAL * np.max(np.abs(K.values))
+        for right, transposed in ((b, False), (c, True)):
+            equations, unknowns = (rows, K.rows), (columns, K.columns)
+            (of, i), (to, j) = (unknowns, equations) if transposed else (equations, unknowns)
+            x = np.empty(right.T.shape)
+            x[:, of] = right.T
+            kernel.solve(factors[0], x, transposed)
+            found.append(x[:, to].T)
+            left = [np.bincount(i, K.values * v[to][j], size) for v in x] - right.T
+            good = good and bool(np.max(np.abs(left)) <= most * np.max(np.abs(x)))
+        give_back(factors[0])
+        return (found[0], found[1]) if good else None
 
     def further_slopes(self, z: Array, left: Array, v: Array) -> Array:
         """That of the closing rows of a torus, by kappa and by the velocity at the start."""
@@ -490,9 +540,10 @@ class Border:
 
     @classmethod
     def of(
-        cls, B: Triplets, rows: Array, columns: Array, shape: tuple[int, int], order: Indices | None = None
-    ) -> Border:
-        """Of a matrix whose rows and columns have sizes; its columns an order of elimination where it is known.
+        cls, B: Triplets, rows: Array, columns: Array, shape: tuple[int, int],
+        condensed: Callable[[Triplets, Array, Array], BothWays | None] | None = None,
+    ) -> Border:  # fmt: skip
+        """Of a matrix whose rows and columns have sizes; factorised by `condensed` where that can.
 
         Raises SingularError.
         """
@@ -500,12 +551,10 @@ class Border:
         scaled = Triplets(B.values * columns[B.columns] / rows[B.rows], B.rows, B.columns)
         L, R = generator.normal(size=(p, nl)), generator.normal(size=(q, nr))
         K = scaled + _blocks((0, q, L), (p, 0, LONG_ROW_FACTOR * R.T))
-        if order is None and not is_mostly_zero(q + nl, K.values.size):
-            solve, places = _dense_factors(K)
-        else:
-            solve, places = _sparse_factors(K, None if order is None else np.append(order, range(q, q + nl)))
-        right = solve(np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]), False)[places[:q]]
-        left = solve(np.vstack([np.zeros((q, nl)), np.eye(nl)]), True)[:p]
+        b, c = np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]), np.vstack([np.zeros((q, nl)), np.eye(nl)])
+        found = None if condensed is None else condensed(K, b, c)
+        found = found or (_sparse if is_mostly_zero(q + nl, K.values.size) else _dense)(K, b, c)
+        right, left = found[0][:q], found[1][:p]
         if not (np.all(np.isfinite(right)) and np.all(np.isfinite(left))):
             raise SingularError("the linearised equations lose more rank than expected")
         products = scaled.values[:, None, None] * left[scaled.rows][:, :, None] * right[scaled.columns][:, None, :]
@@ -513,34 +562,28 @@ class Border:
         return cls(G, np.linalg.norm(products, axis=0), right * columns[:, None], left / rows[:, None], L[:, 0] * rows)
 
 
-def _sparse_factors(K: Triplets, order: Indices | None) -> tuple[Callable[[Array, bool], Array], Indices]:
-    """The solution with a square matrix, or its transpose, whose unknowns are eliminated in an order; their places."""
+def _sparse(K: Triplets, b: Array, c: Array) -> BothWays:
+    """Solutions x of K x = b and y of K^T y = c."""
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
-    size = int(K.rows.max()) + 1
-    places = np.arange(size)
-    if order is not None:
-        places[order] = np.arange(size)
     try:
-        matrix = csc_matrix((K.values, (K.rows, places[K.columns])), shape=(size, size))
-        factors = splu(matrix, "COLAMD" if order is None else "NATURAL")
+        factors: Any = splu(csc_matrix((K.values, (K.rows, K.columns))))
     except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
         raise SingularError(f"the linearised equations lose more rank than expected: {error}") from error
-    solve: Any = factors.solve
-    return (lambda b, transposed: np.asarray(solve(b, "T" if transposed else "N"))), places
+    return factors.solve(b), factors.solve(c, "T")
 
 
-def _dense_factors(K: Triplets) -> tuple[Callable[[Array, bool], Array], Indices]:
-    """The same of a small or full matrix."""
+def _dense(K: Triplets, b: Array, c: Array) -> BothWays:
+    """The same with a small or full matrix."""
     from scipy.linalg.lapack import dgetrf, dgetrs
 
-    size = int(K.rows.max()) + 1
+    size = len(b)
     matrix = np.bincount(K.columns * size + K.rows, K.values, size * size).reshape(size, size).T
     factors, pivots, singular = dgetrf(matrix)
     if singular:
         raise SingularError("the linearised equations lose more rank than expected")
-    return (lambda b, transposed: np.asarray(dgetrs(factors, pivots, b, int(transposed))[0])), np.arange(size)
+    return dgetrs(factors, pivots, b)[0], dgetrs(factors, pivots, c, 1)[0]
 
 
 def singularity_of(

@@ -214,7 +214,8 @@ class Statement(WithVerbs):
         return np.array(list(self.values.values()))
 
     @cached_property
-    def _formulations(self) -> dict[str | None, Formulation]:
+    def formulations(self) -> dict[tuple[Any, ...], Formulation]:
+        """Those that are made, by the free parameters and the one that walks: all with other values have them too."""
         return {}
 
     def formulation(self, walking: str | None = None) -> Formulation:
@@ -222,9 +223,10 @@ class Statement(WithVerbs):
 
         It is made once for all values of parameters, and keeps its discretisations: solving again builds nothing.
         """
-        if walking not in self._formulations:
-            self._formulations[walking] = self._formulated(walking)
-        return self._formulations[walking]
+        key = tuple(self.free), walking
+        if key not in self.formulations:
+            self.formulations[key] = self._formulated(walking)
+        return self.formulations[key]
 
     def constants(self, walking: str | None = None, end: float = 1.0) -> Array:
         """Values of the formulation's constants: of all parameters; then the way of the one that walks to `end`."""
@@ -271,14 +273,14 @@ class Statement(WithVerbs):
 
     def with_free(self, name: str) -> Statement:
         """The same equations with one more free parameter, which they leave open."""
+        _ = self.formulations  # shared by the copy
         other = copy.copy(self)
-        other.__dict__.pop("_formulations", None)
         object.__setattr__(other, "free", (*self.free, name))
         return other
 
     def with_parameters(self, **values: float) -> Statement:
         """The same problem at other values of parameters; functions built for one serve all."""
-        _ = self._formulations  # shared by the copy
+        _ = self.formulations  # shared by the copy
         other = copy.copy(self)
         for name in ("values", "switching", "_numbers"):
             other.__dict__.pop(name, None)

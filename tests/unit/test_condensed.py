@@ -7,9 +7,13 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from critical_models import cycles_with_fold
+from cycles_in_closed_form import Block, Truth
 from kernels import needs_kernels, numpy_alone
 
+from casadi_skin import OdeModel, find_equilibrium, find_orbit
 from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors, SparseFactors
+from casadi_skin.zero.augmented import BothWays, SingularProblem, Triplets, _sparse
 from casadi_skin.zero.butcher import CollocationTable, gauss_table, radau_table
 from casadi_skin.zero.collocation import CollocationEquations
 from casadi_skin.zero.discretisation import Formulation
@@ -114,6 +118,11 @@ def test_solutions_are_those_of_dense_elimination(
         assert np.max(backward[: problem.size - 1 - integrals]) <= 5e-14
         assert np.max(backward) <= 2e-12  # of rows that are no pivots of intervals
         np.testing.assert_allclose(solve(b[:, 1]), x[:, 1], rtol=0, atol=1e-14 * np.max(np.abs(x[:, 1])))
+        other = np.ascontiguousarray(b.T / largest)  # of the transposed matrix in these units, from b / largest
+        solve.kernel.solve(solve.memory, turned := np.array(other / problem.units, order="C"), True)
+        turned *= largest
+        left = np.abs(turned @ matrix - other)
+        assert np.max(left) <= 1e-12 * np.max(np.abs(turned))
         assert solve.orientation == np.linalg.slogdet(matrix)[0]
         assert solver.orientation(nonzeros, row) == solver.unchecked(nonzeros, row).orientation
         assert solver.factor(problem.units, nonzeros, -row).orientation == -solve.orientation
@@ -159,6 +168,42 @@ def test_superlu_takes_what_the_kernel_does_not() -> None:
 
 
 @needs_kernels
+@needs_kernels
+def test_borders_of_special_orbits_are_solved_as_by_superlu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also transposed; of a torus two copies of an orbit are eliminated side by side.
+
+    No state depends on the parameter at the branch point, which the border alone has in its equations.
+    """
+    condensed, kinds = SingularProblem._condensed, set[str]()
+
+    def compared(problem: SingularProblem, K: Triplets, b: Array, c: Array) -> BothWays | None:
+        found = condensed(problem, K, b, c)
+        kinds.add(problem.singularity.kind)
+        assert found is not None
+        for one, other in zip(found, _sparse(K, b, c), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * np.max(np.abs(other)))
+        return found
+
+    monkeypatch.setattr(SingularProblem, "_condensed", compared)
+    (torus, crossing) = Truth((Block((0.05, -0.1), 0.7), Block((-0.07, 0.1)))).follow().special_points  # type: ignore
+    assert (torus.kind, crossing.kind) == ("torus", "branch point")
+    lure, alpha = ca.SX.sym("x", 3), ca.SX.sym("alpha")
+    rhs = ca.vertcat(lure[1], lure[2], -alpha * lure[2] - lure[1] - lure[0] + lure[0] ** 2)
+    (hopf,) = (
+        find_equilibrium(OdeModel("lure", lure, rhs, alpha), [0, 0, 0], parameters={"alpha": 2.0})
+        .follow("alpha", 0.5)
+        .special_points
+    )
+    doubling = hopf.follow("alpha", 0.6, stability=True).special_points[-1]
+    assert (doubling.kind, doubling.parameters["alpha"]) == ("period doubling", pytest.approx(0.63030201, abs=1e-7))
+    orbit = find_orbit(
+        cycles_with_fold(), lambda t: [1.1 * np.cos(t), 1.1 * np.sin(t)], 2 * np.pi,
+        parameters={"mu": 1.1**4 - 1.1**2, "a": 1.0},
+    )  # fmt: skip
+    assert [point.kind for point in orbit.follow("mu", -0.5).special_points] == ["fold", "hopf"]
+    assert kinds == {"torus", "branch point", "period doubling", "fold"}
+
+
 def test_two_meshes_share_a_solver_and_no_factors() -> None:
     problem = equations(2, 6, "gauss")
     solver, b = BorderedSolver(problem), np.ones(problem.size)
