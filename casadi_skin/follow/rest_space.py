@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 LONGEST_STEP = 1.0 / 30.0  # of the range of the parameter: eigenvalues do not come and go within a step
 AT_JUMP = 1e-6  # of the sizes of states: distance of an equilibrium from a jump at which it counts as on it
-OFFSET_FROM_SPECIAL_POINT = 0.01  # of a step from a special point: where the search for other ones starts
 SMALLEST_STATE = 1e-3  # of the sizes of states: a smaller one counts as no less
 NO_ORBIT = "an equilibrium is no orbit: it has eigenvalues in place of multipliers, and no period"
 
@@ -157,16 +156,12 @@ class EquilibriumSpace(ParameterSpace):
 
     def special_between(self, before: Point, after: Point, gaps: list[Unresolved]) -> Iterator[Point]:
         """Special points on the stretch between two points, in order; `gaps` gets parts that are not resolved."""
-        for place, point in ((OFFSET_FROM_SPECIAL_POINT, before), (1.0 - OFFSET_FROM_SPECIAL_POINT, after)):
-            if self.leaves and not np.any(point.z != self.start.z):  # a special point itself, which is known
-                beside = self.point_solver.along(before, after, place)
-                if beside is None:
-                    return
-                before, after = (beside, after) if point is before else (before, beside)
         yield from special_between(self, before, after, gaps)
 
     def is_unclear(self, start: Point, reach: float) -> bool:
         """Likewise, by where pairs cross the imaginary axis to first order: at other points a start is not regular."""
+        if self.leaves or self.kind:
+            return self.leaves
         here = self.leading(start)
         crosses = np.abs(here.values.real) <= here.noise + reach * np.abs(here.rates.real)
         return bool(np.any(crosses & (here.values.imag > 0.0)))

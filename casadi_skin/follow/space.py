@@ -146,7 +146,7 @@ class SolutionSpace:
         yield from ()
 
     def is_unclear(self, start: Point, reach: float) -> bool:
-        """Whether what is special may be behind the start of a branch by rounding, or by a distance within `reach`."""
+        """Whether a start is special, or what is so may be behind it by rounding, or by a distance within `reach`."""
         return False
 
     def unproved(self) -> list[Unresolved]:

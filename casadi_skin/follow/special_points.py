@@ -485,7 +485,7 @@ def special_orbit(space: SolutionSpace, kind: str, near: Point, angle: float = n
 
 # The points of one stretch of a branch in order: requested ones, and special ones, which may be the same --------------
 
-BEHIND_START = 1e-2  # of a stretch, from the start of a branch: where the search begins for what is special there
+BESIDE_START = 1e-2  # of a stretch, from the start of a branch: where the search begins if something is special there
 SAME_PLACE = 1e-2  # of a stretch: a requested point that near to a special one of the same value is that one
 
 
@@ -523,12 +523,11 @@ class StretchPoints(BranchStretch):
     def _bounds(self) -> list[Point]:
         """The ends of the search: behind the start of a branch where rounding decides on its side of a special point.
 
-        A branch that comes back to such a start has it once.
+        Beside one that the branch leaves, as it is known; a branch that comes back to such a start has it once.
         """
-        bounds = list(self.ends)
-        for end, (point, place) in enumerate(zip(self.ends, (-BEHIND_START, 1.0 - BEHIND_START), strict=True)):
-            starts = not self.space.leaves and np.array_equal(point.z, self.space.start.z)
-            if starts and self.space.is_unclear(point, BEHIND_START * self.length):
+        bounds, beside = list(self.ends), BESIDE_START if self.space.leaves else -BESIDE_START
+        for end, (point, place) in enumerate(zip(self.ends, (beside, 1.0 - BESIDE_START), strict=True)):
+            if np.array_equal(point.z, self.space.start.z) and self.space.is_unclear(point, BESIDE_START * self.length):
                 bounds[end] = self.solver.along(*self.ends, place) or point
         return bounds
 
