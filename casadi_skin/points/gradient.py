@@ -8,31 +8,27 @@ changes, drawn at random.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.find import restated, scalar_of, with_amplitude
+from casadi_skin.follow.find import restated, with_amplitude
 from casadi_skin.follow.follow import held_space
 from casadi_skin.follow.normal_forms import critical_angle
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, ORBITS
 from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, Located, SpecialPoint, locate, locate_rest
-from casadi_skin.model.amplitude import amplitude_square
-from casadi_skin.model.arguments import accepted_names, check_name, with_error
-from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
+from casadi_skin.model.arguments import check_name, with_error
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.edges import EdgeProblem, edge_problem, parameters_of
+from casadi_skin.points.targets import Target, target_of, unknown
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.adjoint import Equations, derivatives
 from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
-from casadi_skin.zero.linearised import Linearised, null_vectors
 from casadi_skin.zero.problem import EPSILON, Array, Problem
 from casadi_skin.zero.rest import AlgebraicProblem, Course, Statics, sizes_of
 from casadi_skin.zero.stated_problem import PERIOD
@@ -42,13 +38,10 @@ SHORTER_PERIOD = 0.85  # of the period of an orbit beside a connecting one: what
 ROUNDING_PROBES = 6  # solutions and linear equations off by rounding, of signs drawn at random
 WIDER_DIFFERENCES = 2.0  # times the steps of differences of a program's derivatives, for their error
 UNFOLDING_DEVIATIONS = 100.0  # of rounding: a push of the equations beyond it, by which a branch point becomes none
-MULTIPLIER_STEPS = 3  # of inverse iteration with the multiplier's own correction, quadratic each
 EDGE_STEP = 2e-4  # of S and of a parameter: that of differences at an edge; of 1e-3 some come to another pair of mu
 # Places and weights of differences with steps h, 2 h, 4 h: of order h^4 by the shorter two, and by the longer two.
 DIFFERENCE_PLACES = 1.0, -1.0, 2.0, -2.0, 4.0, -4.0
 DIFFERENCE_WEIGHTS = np.repeat([[8.0, -1.0, 0.0], [0.0, 4.0, -0.5]], 2, axis=1) * np.tile([1.0, -1.0], 3) / 12.0
-EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
-Target = Callable[[Any, Array], tuple[float, Array, Array]]  # value, derivatives by unknowns and by parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +130,7 @@ def gradient(point: SpecialPoint, *, errors: bool = True) -> Gradient:
         raise ArithmeticError(f"{space.model.name}: the {point.kind} is not found again: its equations are not solved")
 
     def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        return _unknown(problem, z, problem.first_index, extent)
+        return unknown(problem, z, problem.first_index, extent)
 
     at, better = located.point, located.point.better
     finer = (better.problem, better.z) if better is not None and better.problem is not at.problem else None
@@ -267,7 +260,7 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         stated = space.statement.with_parameters(**solution.parameters)
         space = held_space(replace(space, statement=stated), fixed)
         problem = space.levels.problem(problem.resolution).with_constants(problem.constants)
-    target, words = _target(space, solution, quantity)
+    target, words = target_of(space, solution, quantity)
     finer = None
     if not isinstance(problem, AlgebraicProblem):
         above = space.levels.finer(problem)
@@ -334,193 +327,3 @@ def _with_errors(
     if pushed is not None:
         values = np.where(np.abs(best[1]) > UNFOLDING_DEVIATIONS * spread[1], np.nan, values)
     return dict(zip(names, values.tolist(), strict=True)), dict(zip(names, estimate.tolist(), strict=True))
-
-
-# Quantities: their values and derivatives by the unknowns and by the parameters ---------------------------------------
-
-
-def _unknown(problem: Any, z: Array, index: int, factor: float = 1.0) -> tuple[float, Array, Array]:
-    """A multiple of an unknown."""
-    by_z = np.zeros(z.size)
-    by_z[index] = factor
-    return factor * float(z[index]), by_z, np.zeros(len(Equations.of(problem).names))
-
-
-def _target(space: Any, solution: Solution, quantity: Any) -> tuple[Target, str]:
-    """A quantity of a solution, and its name in words; raises ValueError for one that it has not."""
-    model, free = space.model, list(space.free)
-    states = list(space.state_names)
-    if not isinstance(quantity, str):
-        scalar = ca.densify(scalar_of("quantity", quantity, model))
-        return _at_start(space, model.function("quantity", scalar)), "an expression"
-    known: dict[str, Target] = {}
-    if solution.is_equilibrium:
-        known |= {name: _free(name) for name in free}
-        known |= {name: _component_at_rest(k) for k, name in enumerate(states)}
-        if not space.kind:
-            known["max_growth"] = _growth
-    else:
-        known |= {name: _free(name) for name in free}
-        full = model.full_state
-        for k, name in enumerate(states):
-            known.setdefault(name, _at_start(space, model.function("state", full[k])))
-            for sign, end in ((1.0, "max"), (-1.0, "min")):
-                known[f"{name}_{end}"] = _extreme(space, k, sign)
-        if solution.is_orbit:
-            known |= _of_orbit(space, solution, free)
-    if quantity not in known:
-        raise ValueError(f"quantity: given {quantity}; {accepted_names(quantity, known)}")
-    return known[quantity], quantity
-
-
-def _free(name: str) -> Target:
-    """A parameter that is found with the solution."""
-
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        equations = Equations.of(problem)
-        _, by_z, by_c = _unknown(problem, z, *equations.unknowns()[name])
-        return float(problem.parameters(z)[equations.names.index(name)]), by_z, by_c
-
-    return target
-
-
-def _component_at_rest(k: int) -> Target:
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        return _unknown(problem, z, k, float(problem.scale[k]))
-
-    return target
-
-
-def _growth(problem: Any, z: Array) -> tuple[float, Array, Array]:
-    """The largest real part of an eigenvalue: d lambda = psi^H dA v / psi^H v."""
-    from scipy.linalg import eig
-
-    statics, n = problem.statics, problem.states
-    A = statics.jacobian(problem.state(z), problem.parameters(z)) * problem.scale / problem.scale[:, None]
-    values, left, right = eig(A, left=True)
-    second = statics.model.order == 2
-    growth = np.sqrt(values.astype(complex)) if second else values
-    k = int(np.argmax(growth.real))
-    psi, v = left[:, k].conj(), np.append(right[:, k], np.zeros(z.size - n))
-    found = Equations.of(problem).of_pair(z, psi, v)
-    factor = (2.0 * growth[k] if second else 1.0) * (psi @ right[:, k])
-    by_z, by_c = ((part / factor).real for part in found)
-    return float(growth[k].real), by_z, by_c
-
-
-def _of_orbit(space: BoundarySpace, solution: Solution, free: Sequence[str]) -> dict[str, Target]:
-    """Quantities that orbits alone have."""
-    model, found = space.model, dict[str, Target]()
-    if PERIOD in free:
-
-        def Omega(problem: Any, z: Array) -> tuple[float, Array, Array]:
-            period, by_z, by_c = _free(PERIOD)(problem, z)
-            return 2.0 * np.pi / period, -2.0 * np.pi / period**2 * by_z, by_c
-
-        found["Omega"] = Omega
-    if model.hamiltonian is not None:
-        found["energy"] = _at_start(space, model.function("energy", ca.densify(model.hamiltonian)))
-    if space.positions:
-        amplitude = amplitude_square(space.given)
-        S = ca.Function("S", [amplitude.state], [amplitude.form])(model.full_state[: space.positions])
-        found["S"] = _at_start(space, model.function("S", S))
-    if space.symmetry is SymmetryClass.FULL:
-        found["max_abs_multiplier"] = _multiplier(solution)
-    return found
-
-
-def _at_start(space: Any, function: ca.Function) -> Target:
-    """A function (t, x, p) of the state at phase zero, at the start of an interval or of an equilibrium."""
-    symbols = [type(space.model.state).sym(name, *function.size_in(k)) for k, name in enumerate("txp")]
-    value = function(*symbols)
-    slopes = ca.Function("slopes", symbols, [value, *(ca.densify(ca.gradient(value, s)) for s in symbols[1:])])
-
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        names, by_z = Equations.of(problem).names, np.zeros(z.size)
-        values = dict(zip(names, problem.parameters(z), strict=True))
-        rest = isinstance(problem, AlgebraicProblem)
-        count = problem.states if rest else problem.formulation.states
-        x, p = problem.state(z) if rest else z[:count], [values[name] for name in space.model.parameter_names]
-        whole = np.zeros(function.size1_in(1))  # a model of second order rests with its velocities zero
-        whole[:count] = x[: whole.size]
-        value, by_x, by_p = (np.array(part).ravel() for part in slopes(0.0, whole, p))
-        by_z[:count] = by_x[:count] * (problem.scale if rest else 1.0)
-        equations, by_c = Equations.of(problem), np.zeros(len(names))
-        for name, slope in zip(space.model.parameter_names, by_p, strict=True):
-            if name in equations.unknowns():
-                index, rate = equations.unknowns()[name]
-                by_z[index] += rate * slope
-            else:
-                by_c[names.index(name)] = slope
-        return float(value[0]), by_z, by_c
-
-    return target
-
-
-def _extreme(space: Any, k: int, sign: float) -> Target:
-    """The largest or smallest value of a component; the derivative by its place vanishes, or it is an end."""
-
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        from scipy.optimize import brentq
-
-        periodic, count = space.periodic, problem.resolution * EXTREMUM_PLACES
-        f = problem.formulation.field_function
-
-        def whole(turn: Array) -> tuple[Array, Array]:
-            """Fractions of what is solved for, and signs of the component."""
-            if periodic is None:
-                return np.asarray(turn), np.ones(np.size(turn))
-            fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, 2.0 * np.pi * np.asarray(turn))
-            return fractions, signs[:, k]
-
-        def slope(turn: float) -> float:
-            (fraction,), _ = whole(np.array([turn]))
-            x = problem.sample(z, np.array([fraction]))[0]
-            return float(f(fraction, x, *problem.repeated(z, 1))[0][k])
-
-        turns = np.linspace(0.0, 1.0, count + 1)
-        fractions, signs = whole(turns)
-        values = sign * signs * problem.sample(z, fractions)[:, k]
-        at = int(np.argmax(values))
-        place, low, high = turns[at], turns[at] - 1.0 / count, turns[at] + 1.0 / count
-        if periodic is not None or 0 < at < count:
-            lows, highs = slope(low % 1.0), slope(high % 1.0)
-            if lows * highs < 0.0 and np.ptp(whole(np.array([low % 1.0, place % 1.0, high % 1.0]))[1]) == 0.0:
-                place = brentq(lambda turn: slope(turn % 1.0), low, high, xtol=1e-14) % 1.0
-        (fraction,), (factor,) = whole(np.array([place]))
-        by_z = np.zeros(z.size)
-        columns, weights = problem.weights_at(float(fraction))
-        by_z[: problem.states].reshape(problem.columns, -1)[columns, k] = factor * weights
-        return float(by_z @ z), by_z, np.zeros(len(Equations.of(problem).names))
-
-    return target
-
-
-def _multiplier(solution: Solution) -> Target:
-    """The largest modulus of a multiplier but the trivial ones: v(1) = mu v(0), d mu = psi^H dB v / psi_1^H v(0)."""
-
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        from scipy.sparse import csc_matrix, diags, eye, hstack, vstack
-
-        others = solution.floquet().others
-        if not others.size:
-            raise ValueError("quantity: given max_abs_multiplier of an orbit without others than the trivial ones")
-        mu, n, k = complex(others[np.argmax(np.abs(others))]), problem.formulation.states, problem.states
-        mu = mu if mu.imag else mu.real
-        field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k]
-        for _ in range(MULTIPLIER_STEPS):
-            B = vstack([field, hstack([-mu * eye(n), csc_matrix((n, k - 2 * n)), eye(n)])])
-            B = (diags(1.0 / np.roll(sizes, -n)) @ B @ diags(sizes)).tocsc()
-            v, psi = null_vectors(B)
-            left = psi.conj()
-            product = left[k - n :] @ v[:n]
-            mu = mu + (left @ (B @ v)) / product
-        left, way = np.zeros(problem.equations, dtype=left.dtype), np.append(v * sizes, np.zeros(z.size - k))
-        left[: k - n] = psi.conj()[: k - n] / sizes[n:]
-        turned = np.conj(mu) / abs(mu) / product
-        equations = Equations.of(problem)
-        by_z, by_c = ((turned * part).real for part in equations.of_pair(z, left, way))
-        by_c[list(equations.by_switching(z))] = np.nan  # how the maps change with the mesh is not known
-        return float(abs(mu)), by_z, by_c
-
-    return target
