@@ -25,7 +25,7 @@ from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, Located, Spec
 from casadi_skin.model.arguments import check_name, with_error
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.edges import EdgeProblem, edge_problem, parameters_of
-from casadi_skin.points.targets import Target, target_of, unknown
+from casadi_skin.points.targets import Slopes, Target, target_of, unknown
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.adjoint import Equations, derivatives
 from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
@@ -129,7 +129,7 @@ def gradient(point: SpecialPoint, *, errors: bool = True) -> Gradient:
     if located is None:
         raise ArithmeticError(f"{space.model.name}: the {point.kind} is not found again: its equations are not solved")
 
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
+    def target(problem: Any, z: Array) -> Slopes:
         return unknown(problem, z, problem.first_index, extent)
 
     at, better = located.point, located.point.better

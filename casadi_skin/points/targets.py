@@ -7,7 +7,9 @@ multipliers and eigenvalues it is a derivative of the linearisation, exact as `z
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -19,6 +21,7 @@ from casadi_skin.follow.solution import Solution
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import accepted_names
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
+from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.adjoint import Equations
 from casadi_skin.zero.linearised import Linearised, null_vectors
 from casadi_skin.zero.problem import Array
@@ -27,10 +30,11 @@ from casadi_skin.zero.stated_problem import PERIOD
 
 MULTIPLIER_STEPS = 3  # of inverse iteration with the multiplier's own correction, quadratic each
 EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
-Target = Callable[[Any, Array], tuple[float, Array, Array]]  # value, derivatives by unknowns and by parameters
+Slopes = tuple[float, Array, Array]  # a value, its derivatives by the unknowns and by the parameters
+Target = Callable[[Any, Array], Slopes]
 
 
-def unknown(problem: Any, z: Array, index: int, factor: float = 1.0) -> tuple[float, Array, Array]:
+def unknown(problem: Any, z: Array, index: int, factor: float = 1.0) -> Slopes:
     """A multiple of an unknown."""
     by_z = np.zeros(z.size)
     by_z[index] = factor
@@ -39,50 +43,36 @@ def unknown(problem: Any, z: Array, index: int, factor: float = 1.0) -> tuple[fl
 
 def target_of(space: Any, solution: Solution, quantity: Any) -> tuple[Target, str]:
     """A quantity of a solution, and its name in words; raises ValueError for one that it has not."""
-    model, free = space.model, list(space.free)
-    states = list(space.state_names)
+    model = space.model
     if not isinstance(quantity, str):
-        scalar = ca.densify(scalar_of("quantity", quantity, model))
-        return _at_start(space, model.function("quantity", scalar)), "an expression"
-    known: dict[str, Target] = {}
+        return AtStart(space, ca.densify(scalar_of("quantity", quantity, model))), "an expression"
+    known: dict[str, Target] = {name: partial(_free, name) for name in space.free}
     if solution.is_equilibrium:
-        known |= {name: _free(name) for name in free}
-        known |= {name: _component_at_rest(k) for k, name in enumerate(states)}
-        if not space.kind:
-            known["max_growth"] = _growth
+        known |= {name: partial(_component_at_rest, k) for k, name in enumerate(space.state_names)}
+        known |= {} if space.kind else {"max_growth": _growth}
     else:
-        known |= {name: _free(name) for name in free}
-        full = model.full_state
-        for k, name in enumerate(states):
-            known.setdefault(name, _at_start(space, model.function("state", full[k])))
-            for sign, end in ((1.0, "max"), (-1.0, "min")):
-                known[f"{name}_{end}"] = _extreme(space, k, sign)
-        if solution.is_orbit:
-            known |= _of_orbit(space, solution, free)
+        for k, name in enumerate(space.state_names):
+            known.setdefault(name, AtStart(space, model.full_state[k]))
+            known |= {f"{name}_{end}": partial(_extreme, space, k, sign) for sign, end in ((1.0, "max"), (-1.0, "min"))}
+    if solution.is_orbit:
+        known |= _of_orbit(space, solution)
     if quantity not in known:
         raise ValueError(f"quantity: given {quantity}; {accepted_names(quantity, known)}")
     return known[quantity], quantity
 
 
-def _free(name: str) -> Target:
+def _free(name: str, problem: Any, z: Array) -> Slopes:
     """A parameter that is found with the solution."""
-
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        equations = Equations.of(problem)
-        _, by_z, by_c = unknown(problem, z, *equations.unknowns()[name])
-        return float(problem.parameters(z)[equations.names.index(name)]), by_z, by_c
-
-    return target
+    equations = Equations.of(problem)
+    _, by_z, by_c = unknown(problem, z, *equations.unknowns()[name])
+    return float(problem.parameters(z)[equations.names.index(name)]), by_z, by_c
 
 
-def _component_at_rest(k: int) -> Target:
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        return unknown(problem, z, k, float(problem.scale[k]))
-
-    return target
+def _component_at_rest(k: int, problem: Any, z: Array) -> Slopes:
+    return unknown(problem, z, k, float(problem.scale[k]))
 
 
-def _growth(problem: Any, z: Array) -> tuple[float, Array, Array]:
+def _growth(problem: Any, z: Array) -> Slopes:
     """The largest real part of an eigenvalue: d lambda = psi^H dA v / psi^H v."""
     from scipy.linalg import eig
 
@@ -99,45 +89,54 @@ def _growth(problem: Any, z: Array) -> tuple[float, Array, Array]:
     return float(growth[k].real), by_z, by_c
 
 
-def _of_orbit(space: BoundarySpace, solution: Solution, free: Sequence[str]) -> dict[str, Target]:
+def _of_orbit(space: BoundarySpace, solution: Solution) -> dict[str, Target]:
     """Quantities that orbits alone have."""
     model, found = space.model, dict[str, Target]()
-    if PERIOD in free:
-
-        def Omega(problem: Any, z: Array) -> tuple[float, Array, Array]:
-            period, by_z, by_c = _free(PERIOD)(problem, z)
-            return 2.0 * np.pi / period, -2.0 * np.pi / period**2 * by_z, by_c
-
-        found["Omega"] = Omega
+    if PERIOD in space.free:
+        found["Omega"] = _frequency
     if model.hamiltonian is not None:
-        found["energy"] = _at_start(space, model.function("energy", ca.densify(model.hamiltonian)))
+        found["energy"] = AtStart(space, ca.densify(model.hamiltonian))
     if space.positions:
         amplitude = amplitude_square(space.given)
-        S = ca.Function("S", [amplitude.state], [amplitude.form])(model.full_state[: space.positions])
-        found["S"] = _at_start(space, model.function("S", S))
+        S = ca.Function("S", [amplitude.state], [amplitude.form])
+        found["S"] = AtStart(space, S(model.full_state[: space.positions]))
     if space.symmetry is SymmetryClass.FULL:
-        found["max_abs_multiplier"] = _multiplier(solution)
+        found["max_abs_multiplier"] = partial(_multiplier, solution)
     return found
 
 
-def _at_start(space: Any, function: ca.Function) -> Target:
-    """A function (t, x, p) of the state at phase zero, at the start of an interval or of an equilibrium."""
-    symbols = [type(space.model.state).sym(name, *function.size_in(k)) for k, name in enumerate("txp")]
-    value = function(*symbols)
-    slopes = ca.Function("slopes", symbols, [value, *(ca.densify(ca.gradient(value, s)) for s in symbols[1:])])
+def _frequency(problem: Any, z: Array) -> Slopes:
+    period, by_z, by_c = _free(PERIOD, problem, z)
+    return 2.0 * np.pi / period, -2.0 * np.pi / period**2 * by_z, by_c
 
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        names, by_z = Equations.of(problem).names, np.zeros(z.size)
+
+@dataclass(frozen=True, eq=False)
+class AtStart:
+    """An expression in t, the state at phase zero, at the start of an interval or at rest, and the parameters."""
+
+    space: Any
+    expression: Expression
+
+    @cached_property
+    def _slopes(self) -> ca.Function:
+        """Function (t, x, p) -> the value and its gradients by x and p."""
+        function = self.space.model.function("quantity", self.expression)
+        symbols = [type(self.space.model.state).sym(name, *function.size_in(k)) for k, name in enumerate("txp")]
+        value = function(*symbols)
+        return ca.Function("slopes", symbols, [value, *(ca.densify(ca.gradient(value, s)) for s in symbols[1:])])
+
+    def __call__(self, problem: Any, z: Array) -> Slopes:
+        equations, by_z = Equations.of(problem), np.zeros(z.size)
+        names, rest = equations.names, isinstance(problem, AlgebraicProblem)
         values = dict(zip(names, problem.parameters(z), strict=True))
-        rest = isinstance(problem, AlgebraicProblem)
         count = problem.states if rest else problem.formulation.states
-        x, p = problem.state(z) if rest else z[:count], [values[name] for name in space.model.parameter_names]
-        whole = np.zeros(function.size1_in(1))  # a model of second order rests with its velocities zero
+        x, p = problem.state(z) if rest else z[:count], [values[name] for name in self.space.model.parameter_names]
+        whole = np.zeros(self._slopes.size1_in(1))  # a model of second order rests with its velocities zero
         whole[:count] = x[: whole.size]
-        value, by_x, by_p = (np.array(part).ravel() for part in slopes(0.0, whole, p))
+        value, by_x, by_p = (np.array(part).ravel() for part in self._slopes(0.0, whole, p))
         by_z[:count] = by_x[:count] * (problem.scale if rest else 1.0)
-        equations, by_c = Equations.of(problem), np.zeros(len(names))
-        for name, slope in zip(space.model.parameter_names, by_p, strict=True):
+        by_c = np.zeros(len(names))
+        for name, slope in zip(self.space.model.parameter_names, by_p, strict=True):
             if name in equations.unknowns():
                 index, rate = equations.unknowns()[name]
                 by_z[index] += rate * slope
@@ -145,73 +144,61 @@ def _at_start(space: Any, function: ca.Function) -> Target:
                 by_c[names.index(name)] = slope
         return float(value[0]), by_z, by_c
 
-    return target
 
-
-def _extreme(space: Any, k: int, sign: float) -> Target:
+def _extreme(space: Any, k: int, sign: float, problem: Any, z: Array) -> Slopes:
     """The largest or smallest value of a component; the derivative by its place vanishes, or it is an end."""
+    from scipy.optimize import brentq
 
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        from scipy.optimize import brentq
+    periodic, count = space.periodic, problem.resolution * EXTREMUM_PLACES
 
-        periodic, count = space.periodic, problem.resolution * EXTREMUM_PLACES
-        f = problem.formulation.field_function
+    def whole(turn: Array) -> tuple[Array, Array]:
+        """Fractions of what is solved for, and signs of the component."""
+        if periodic is None:
+            return turn, np.ones(turn.size)
+        fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, 2.0 * np.pi * turn)
+        return fractions, signs[:, k]
 
-        def whole(turn: Array) -> tuple[Array, Array]:
-            """Fractions of what is solved for, and signs of the component."""
-            if periodic is None:
-                return np.asarray(turn), np.ones(np.size(turn))
-            fractions, signs = unfolded_phases(periodic.model, periodic.symmetry, 2.0 * np.pi * np.asarray(turn))
-            return fractions, signs[:, k]
+    def slope(turn: float) -> float:
+        (fraction,), _ = whole(np.array([turn % 1.0]))
+        x = problem.sample(z, np.array([fraction]))[0]
+        return float(problem.formulation.field_function(fraction, x, *problem.repeated(z, 1))[0][k])
 
-        def slope(turn: float) -> float:
-            (fraction,), _ = whole(np.array([turn]))
-            x = problem.sample(z, np.array([fraction]))[0]
-            return float(f(fraction, x, *problem.repeated(z, 1))[0][k])
-
-        turns = np.linspace(0.0, 1.0, count + 1)
-        fractions, signs = whole(turns)
-        values = sign * signs * problem.sample(z, fractions)[:, k]
-        at = int(np.argmax(values))
-        place, low, high = turns[at], turns[at] - 1.0 / count, turns[at] + 1.0 / count
-        if periodic is not None or 0 < at < count:
-            lows, highs = slope(low % 1.0), slope(high % 1.0)
-            if lows * highs < 0.0 and np.ptp(whole(np.array([low % 1.0, place % 1.0, high % 1.0]))[1]) == 0.0:
-                place = brentq(lambda turn: slope(turn % 1.0), low, high, xtol=1e-14) % 1.0
-        (fraction,), (factor,) = whole(np.array([place]))
-        by_z = np.zeros(z.size)
-        columns, weights = problem.weights_at(float(fraction))
-        by_z[: problem.states].reshape(problem.columns, -1)[columns, k] = factor * weights
-        return float(by_z @ z), by_z, np.zeros(len(Equations.of(problem).names))
-
-    return target
+    turns = np.linspace(0.0, 1.0, count + 1)
+    fractions, signs = whole(turns)
+    at = int(np.argmax(sign * signs * problem.sample(z, fractions)[:, k]))
+    place, around = turns[at], turns[at] + np.array([-1.0, 1.0]) / count
+    if periodic is not None or 0 < at < count:
+        one_piece = np.ptp(whole(np.append(around, place) % 1.0)[1]) == 0.0
+        if one_piece and slope(around[0]) * slope(around[1]) < 0.0:
+            place = brentq(slope, float(around[0]), float(around[1]), xtol=1e-14) % 1.0
+    (fraction,), (factor,) = whole(np.array([place]))
+    by_z = np.zeros(z.size)
+    columns, weights = problem.weights_at(float(fraction))
+    by_z[: problem.states].reshape(problem.columns, -1)[columns, k] = factor * weights
+    return float(by_z @ z), by_z, np.zeros(len(Equations.of(problem).names))
 
 
-def _multiplier(solution: Solution) -> Target:
+def _multiplier(solution: Solution, problem: Any, z: Array) -> Slopes:
     """The largest modulus of a multiplier but the trivial ones: v(1) = mu v(0), d mu = psi^H dB v / psi_1^H v(0)."""
+    from scipy.sparse import csc_matrix, diags, eye, hstack, vstack
 
-    def target(problem: Any, z: Array) -> tuple[float, Array, Array]:
-        from scipy.sparse import csc_matrix, diags, eye, hstack, vstack
-
-        others = solution.floquet().others
-        if not others.size:
-            raise ValueError("quantity: given max_abs_multiplier of an orbit without others than the trivial ones")
-        mu, n, k = complex(others[np.argmax(np.abs(others))]), problem.formulation.states, problem.states
-        mu = mu if mu.imag else mu.real
-        field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k]
-        for _ in range(MULTIPLIER_STEPS):
-            B = vstack([field, hstack([-mu * eye(n), csc_matrix((n, k - 2 * n)), eye(n)])])
-            B = (diags(1.0 / np.roll(sizes, -n)) @ B @ diags(sizes)).tocsc()
-            v, psi = null_vectors(B)
-            left = psi.conj()
-            product = left[k - n :] @ v[:n]
-            mu = mu + (left @ (B @ v)) / product
-        left, way = np.zeros(problem.equations, dtype=left.dtype), np.append(v * sizes, np.zeros(z.size - k))
-        left[: k - n] = psi.conj()[: k - n] / sizes[n:]
-        turned = np.conj(mu) / abs(mu) / product
-        equations = Equations.of(problem)
-        by_z, by_c = ((turned * part).real for part in equations.of_pair(z, left, way))
-        by_c[list(equations.by_switching(z))] = np.nan  # how the maps change with the mesh is not known
-        return float(abs(mu)), by_z, by_c
-
-    return target
+    others = solution.floquet().others
+    if not others.size:
+        raise ValueError("quantity: given max_abs_multiplier of an orbit without others than the trivial ones")
+    mu, n, k = complex(others[np.argmax(np.abs(others))]), problem.formulation.states, problem.states
+    mu = mu if mu.imag else mu.real
+    field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k]
+    for _ in range(MULTIPLIER_STEPS):
+        B = vstack([field, hstack([-mu * eye(n), csc_matrix((n, k - 2 * n)), eye(n)])])
+        B = (diags(1.0 / np.roll(sizes, -n)) @ B @ diags(sizes)).tocsc()
+        v, psi = null_vectors(B)
+        left = psi.conj()
+        product = left[k - n :] @ v[:n]
+        mu = mu + (left @ (B @ v)) / product
+    left, way = np.zeros(problem.equations, dtype=left.dtype), np.append(v * sizes, np.zeros(z.size - k))
+    left[: k - n] = psi.conj()[: k - n] / sizes[n:]
+    turned = np.conj(mu) / abs(mu) / product
+    equations = Equations.of(problem)
+    by_z, by_c = ((turned * part).real for part in equations.of_pair(z, left, way))
+    by_c[list(equations.by_switching(z))] = np.nan  # how the maps change with the mesh is not known
+    return float(abs(mu)), by_z, by_c
