@@ -275,11 +275,11 @@ class BoundarySpace(ParameterSpace):
         """Components of the first orbit that are faint, by its linearisation at both ends of the branch."""
         if self.first is None or self.singularity is not None or self.periodic is None:
             return None
-        model, (problem, z) = self.statement.model, (self.first.problem, self.first.z)
-        values = {**self.statement.values, **dict(zip(model.parameter_names, problem.parameters(z), strict=True))}
+        model, (problem, z) = self.model, (self.first.problem, self.first.z)
+        known = dict(zip(self.statement.model.parameter_names, problem.parameters(z), strict=True))
         states, (slopes, places), sizes = problem.sample(z, PLACES), _slopes(model), np.zeros(())
         for value in (self.begins, self.to):
-            p = [{**values, self.parameter: value}[name] for name in model.parameter_names]
+            p = [value if name == self.parameter else known[name] for name in model.parameter_names]
             found = slopes(PLACES[:, None], states, np.array(p))[0]
             sizes = sizes + np.abs(found.reshape(PLACES.size, -1)).sum(axis=0)
         return Faint.of(sizes, places, problem.sizes(z)[: model.full_size]) if np.isfinite(sizes).all() else None

@@ -235,14 +235,7 @@ class CollocationEquations(Problem):
     @cached_property
     def _intervals(self) -> Structure:
         """The polynomials on the intervals, as kernels take them."""
-
-        def made() -> Structure:
-            support = np.append(0.0, self.table.ends)
-            sizes = self.formulation.states, self.resolution, self.table.ends.size, self.degree
-            return Structure(INTERVALS, *sizes, support, _barycentric(support), _leading(self.table))
-
-        found: Structure = self.kept("intervals", made)
-        return found
+        return _intervals(self.formulation.states, self.resolution, self.table)
 
     @property
     def polynomials(self) -> tuple[Structure, Array]:
@@ -307,6 +300,15 @@ class CollocationEquations(Problem):
         parts = self.constants * self._density(z)
         growth = float(parts.sum() / parts.max()) / other.resolution
         return error * growth ** (self.degree + 1)
+
+
+@lru_cache(maxsize=64)
+def _intervals(states: int, intervals: int, table: CollocationTable) -> Structure:
+    """Polynomials on intervals, as kernels take them."""
+    support = np.append(0.0, table.ends)
+    return Structure(
+        INTERVALS, states, intervals, table.ends.size, table.degree, support, _barycentric(support), _leading(table)
+    )
 
 
 @lru_cache(maxsize=32)
