@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin.follow.corners import Corner, Side, point_before, shifts, side_of, turned
 from casadi_skin.follow.moving import Moving
-from casadi_skin.follow.point import PREDICTING_POINTS, PointSolver, interpolant, predicting, predictor
+from casadi_skin.follow.point import PREDICTING_POINTS, PointSolver, interpolant, predictor
 from casadi_skin.solve.newton import Correction
 from casadi_skin.zero.problem import Array, Problem, Scalar, SingularError
 from casadi_skin.zero.settings import LAYER_SPEED_RATIO, End, Point, Target
@@ -164,7 +164,7 @@ class ArclengthContinuation(Continuation):
             moving = known or Moving.of(problem, z, t, weights, self.history[-2])
             return self._departure(current, problem, held=True) if moving is None else self._moving(moving, weights)
         row = weights * t
-        curve = predictor(predicting(points, row, weights), row)
+        curve = predictor(points, row, weights)
         speed = current.speed_ratio if problem is current.problem else problem.speed_ratio(z)
         turning = self.settings.layer_angles if speed > LAYER_SPEED_RATIO else 1.0
         return _Departure(problem, z, t, weights, row, curve, self._side_of(current, problem), turning)

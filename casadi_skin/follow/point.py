@@ -130,45 +130,46 @@ def _roots_within(coefficients: Array) -> list[float]:
     return [min(float(root), 1.0) for root in real if 0.0 < root <= 1.0 + REACH_MARGIN]
 
 
-def predictor(points: Array, row: Array) -> Callable[[float], Array]:
+def predictor(points: Array, row: Array, weights: Array | None = None) -> Callable[[float], Array]:
     """The curve through points with their tangents, (points, 2, unknowns), latest first, over sigma.
 
     Hermite interpolation of degree 2 n - 1 through n points; sigma = row . (z(sigma) - z) with the latest of them, z.
-    Only points in order along `row` are used, so that the curve of a sharp turn is not wilder than the turn.
+    Only points in order along `row` are used, so that the curve of a sharp turn is not wilder than the turn. Of three
+    and more it is the latest alone where, by these weights, the others predicted it worse than a tangent did: where
+    steps are short the polynomial amplifies what the corrector leaves over, and they would stay as short.
     """
-    values, tangents = points[:, 0], points[:, 1]
-    places, slopes, n = ((values - values[0]) @ row).tolist(), (tangents @ row).tolist(), 1
-    while n < len(points) and places[n] < places[n - 1] and slopes[n] > ALIGNED_COSINE:
-        n += 1
-    return interpolant(places[:n], values[:n], tangents[:n] / np.array(slopes[:n])[:, None])
+    moves, tangents = points[:, 0] - points[0, 0], points[:, 1]
+    places, slopes = (moves @ row).tolist(), (tangents @ row).tolist()
+
+    def used(n: int) -> int:
+        while n < len(points) and places[n] < places[n - 1] and slopes[n] > ALIGNED_COSINE:
+            n += 1
+        return n
+
+    n = used(1)
+    if weights is not None and len(points) > 2 and slopes[1] > 0.0:
+        misses = [_move(0.0, places[1:m], moves[1:m], slopes[1:m], tangents[1:m]) for m in (used(2), 2)]
+        by_curve, by_tangent = (float(weights @ miss**2) for miss in misses)
+        n = n if by_curve <= SAME_MISS * by_tangent else 1
+    known = places[:n], moves[:n], slopes[:n], tangents[:n]
+    return lambda place: np.asarray(points[0, 0] + _move(place, *known))
+
+
+def _move(place: float, places: Sequence[float], moves: Array, slopes: Sequence[float], tangents: Array) -> Array:
+    """The polynomial of least degree through what values differ by from one and through tangents, (places, unknowns).
+
+    `slopes` are by how much places change along the tangents. Weights beyond the places multiply rounding, of values
+    themselves above all.
+    """
+    by_moves, by_slopes = zip(*hermite(places, place), strict=True)
+    by_tangents = [weight / slope for weight, slope in zip(by_slopes, slopes, strict=True)]
+    return np.asarray(np.array(by_moves) @ moves + np.array(by_tangents) @ tangents)
 
 
 def interpolant(places: Sequence[float], values: Array, slopes: Array) -> Callable[[float], Array]:
-    """The polynomial of least degree through values and slopes, each (places, unknowns).
-
-    It is that through what values differ by from the first, as weights beyond the places multiply rounding.
-    """
-    first = values[0]
-    known = np.concatenate([values - first, slopes])
-
-    def at(place: float) -> Array:
-        return np.asarray(first + np.ravel(hermite(places, place), order="F") @ known)
-
-    return at
-
-
-def predicting(points: Array, row: Array, weights: Array) -> Array:
-    """Those of points to predict the next from: the latest where the earliest predicted it worse than a tangent did.
-
-    Where steps are short the polynomial amplifies what the corrector leaves over, and they would stay as short.
-    """
-    if len(points) < 3 or not row @ points[1, 1] > 0.0:
-        return points
-    z, (start, tangent) = points[0, 0], points[1]
-    sigma = float(row @ (z - start))
-    guesses = predictor(points[1:], row)(sigma), start + sigma / float(row @ tangent) * tangent
-    by_curve, by_tangent = (float(weights @ (guess - z) ** 2) for guess in guesses)
-    return points if by_curve <= SAME_MISS * by_tangent else points[:1]
+    """The polynomial of least degree through values and slopes, each (places, unknowns)."""
+    moves, ones = values - values[0], [1.0] * len(places)
+    return lambda place: np.asarray(values[0] + _move(place, places, moves, ones, slopes))
 
 
 def hermite(places: Sequence[float], x: Any) -> list[tuple[Any, Any]]:
@@ -179,9 +180,10 @@ def hermite(places: Sequence[float], x: Any) -> list[tuple[Any, Any]]:
     """
     found = []
     for own in places:
-        others = [other for other in places if other != own]
-        lagrange = math.prod((x - other) / (own - other) for other in others)
-        rate = sum(1.0 / (own - other) for other in others)
+        lagrange, rate = 1.0, 0.0
+        for other in places:
+            if other != own:
+                lagrange, rate = lagrange * ((x - other) / (own - other)), rate + 1.0 / (own - other)
         found.append((lagrange**2 * (1.0 - 2.0 * (x - own) * rate), lagrange**2 * (x - own)))
     return found
 

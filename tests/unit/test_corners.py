@@ -7,7 +7,7 @@ import pytest
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.point import predicting
+from casadi_skin.follow.point import predictor
 
 CHAIN = Chain(19, 0.405, 0.019, -1.0)
 OUT, BACK = 0.116823, 0.083189  # S at which the first excursion of its first family turns
@@ -75,7 +75,12 @@ def test_a_prediction_goes_along_the_tangent_where_rounding_spoils_the_polynomia
     angles = 0.2 * np.arange(5)
     circle = [(np.array([np.sin(a), np.cos(a)]), np.array([np.cos(a), -np.sin(a)])) for a in angles]
     for points, kept in ((line, 1), (circle, 5)):
-        assert len(predicting(np.array(points[::-1]), points[-1][1], np.ones(2))) == kept
+        known, row = np.array(points[::-1]), points[-1][1]
+        found, all_of_them, others = (
+            predictor(*each)(0.2) for each in ((known, row, np.ones(2)), (known, row), (known[:kept], row))
+        )
+        np.testing.assert_array_equal(found, others)
+        assert np.array_equal(found, all_of_them) == (kept == 5)
 
 
 @pytest.mark.slow
