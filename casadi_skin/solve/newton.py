@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -105,6 +106,13 @@ NEGLIGIBLE_STEP = 1e-3  # of the tolerance: such a step need not be taken
 STEP_HALVINGS = 6  # of a step
 
 
+@lru_cache(maxsize=8)
+def _limits(steps: int, tolerance: float, shrink: float) -> Structure:
+    """The limits of Newton's method, as kernels take them."""
+    ratios = NEGLIGIBLE_STEP, CHORD_STEP, FAST_STEP_RATIO, CHORD_SAFETY, SLOW_STEP_RATIO
+    return Structure(NEWTON, steps, tolerance, shrink, *ratios)
+
+
 class NewtonCorrector(Corrector):
     """Full Newton steps until the step, relative to the state, is below `tolerance` and no longer shrinks fast.
 
@@ -135,9 +143,8 @@ class NewtonCorrector(Corrector):
         if self._decreasing or not self.problem.keeps_factors or self.problem.size > MOST_AT_ONCE:
             return None
         check_time_limit(f"step 1 of Newton's method, {self.problem.size} unknowns")
-        limits = NEGLIGIBLE_STEP, CHORD_STEP, FAST_STEP_RATIO, CHORD_SAFETY, SLOW_STEP_RATIO
-        newton = Structure(NEWTON, self.max_iterations, self.tolerance, self._shrink, *limits)
-        found = self._solver.corrected(self.problem, newton, (guess, row, value), weights)
+        limits = _limits(self.max_iterations, self.tolerance, self._shrink)
+        found = self._solver.corrected(self.problem, limits, (guess, row, value), weights)
         if found is None:
             return None
         status, steps, z, solve = found

@@ -37,7 +37,7 @@ from casadi_skin.model.expressions import Expression, real_array
 from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.family import Method
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.stated_problem import PERIOD, SMALLEST_COMPONENT_RATIO
 from casadi_skin.zero.statement import Bounds, Statement, check_expressions
 
@@ -227,6 +227,7 @@ LARGEST_GUESS_STATE = 1e150  # state of a guess
 REFERENCE_HARMONICS = 12  # of the reference of the phase
 REFERENCE_ROUNDING = 1e-10  # of the largest harmonic: smaller ones are rounding, of a guess that is a cosine
 DEPENDENT_GRADIENTS = 0.05  # relative: gradients of conserved quantities along a guess that count as dependent
+CONSTANT_ROUNDING = 10.0 * EPSILON  # of a component: harmonics that rounding gives to one that does not move
 TWO_PI = 2.0 * np.pi
 
 
@@ -440,7 +441,8 @@ class OrbitRequest:
         values = values - turn[:, None] * rotation
         waves = np.exp(-1j * TWO_PI * np.outer(np.arange(1, REFERENCE_HARMONICS + 1), turn))
         c = 2.0 * np.trapezoid(waves[:, :, None] * values, turn, axis=1)
-        least = REFERENCE_ROUNDING * np.maximum(np.max(np.abs(c), axis=0), REFERENCE_ROUNDING * np.max(np.abs(c)))
+        sizes = np.maximum(np.max(np.abs(c), axis=0), REFERENCE_ROUNDING * np.max(np.abs(c)))
+        least = np.maximum(REFERENCE_ROUNDING * sizes, CONSTANT_ROUNDING * np.max(np.abs(values), axis=0))
         c = c[: 1 + np.max(np.flatnonzero(np.any(np.abs(c) > least, axis=1)), initial=0)]
         found = Reference(c, np.asarray(np.trapezoid(values, turn, axis=0)), rotation)
         if not found.size > 1e-24 * float(np.max(np.abs(values))) ** 2:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -12,7 +13,7 @@ from scipy.optimize import root
 
 from casadi_skin.follow.find import find_orbit
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.zero.orbit import over_its_own_period
+from casadi_skin.zero.orbit import OrbitRequest, over_its_own_period
 
 TWO_PI, ZERO = 2.0 * np.pi, np.zeros(2)
 NAMES = ("x", "y")
@@ -34,6 +35,16 @@ def test_what_rotates_closes_but_for_its_rotation() -> None:
         lambda t: [t + 0.1 * np.sin(t), 2.0 * np.cos(t)], NAMES, 6.0, np.array([TWO_PI, 0.0])
     )
     np.testing.assert_allclose(np.subtract(taken(6.0), taken(0.0)), [TWO_PI, 0.0], rtol=0, atol=1e-8)
+
+
+def test_a_state_that_does_not_move_has_no_part_in_the_reference_of_the_phase() -> None:
+    """Its rounding gave twelve harmonics to a circle; a small state that moves keeps its own."""
+    model = OdeModel("three", list(ca.SX.sym("x", 3).elements()), [0.0, 0.0, 0.0])
+    for third, harmonics in ((lambda t: 0.7, 1), (lambda t: 1e-12 * np.cos(3.0 * t), 3)):
+        guess = partial(lambda w, t: [*cosines(t), w(t)], third)
+        request = OrbitRequest(model, TWO_PI, 1, {}, np.zeros(3), guess)
+        assert len(request.reference.coefficients) == harmonics
+        np.testing.assert_allclose(request.reference.along(np.array([0.2]))[0], guess(0.2 * TWO_PI), atol=1e-14)
 
 
 def line(t: float) -> list[float]:
