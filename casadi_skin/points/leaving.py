@@ -15,15 +15,7 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.points.ends import Left, fitted
 from casadi_skin.points.lost_symmetry import lost_operations
 from casadi_skin.zero.linearised import critical_pair
-from casadi_skin.zero.orbit import (
-    FIRST_INTERVALS,
-    OrbitRequest,
-    Periodic,
-    Reference,
-    Sizes,
-    boundary_method,
-    statement_of,
-)
+from casadi_skin.zero.orbit import OrbitRequest, Periodic, Reference, Sizes, boundary_method, statement_of
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import Statics, sizes_of
 from casadi_skin.zero.settings import ContinuationSettings, ErrorEstimate, Point
@@ -144,7 +136,7 @@ def born_at(
         statement, tolerance, method, sizes, periodic,
         parameter=parameter, to=to, at=at, settings=replace(settings, tolerance=tolerance), leaves=True,
     )  # fmt: skip
-    problem = stated(space.levels.problem(FIRST_INTERVALS))
+    problem = stated(space.levels.problem(int(method.intervals or 0)))  # never 0
     free = [{**problem.statement.values, PERIOD: period}[name] for name in problem.statement.free]
     z = np.concatenate([np.tile(x, problem.columns), free, [0.0]])
     tangent = np.zeros(problem.size)

@@ -159,7 +159,6 @@ class BorderedSolver:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, size = problem, problem.size
-        self._last: tuple[Array, Array, Solve] | None = None
         self._kernel = _band_kernel(problem)
         self._probes = np.zeros((size, 3))
         self._probes[-1, 0], self._probes[:-1, 1:] = 1.0, problem.probe[:, None]
@@ -207,15 +206,6 @@ class BorderedSolver:
 
         Raises SingularError where the matrix is singular to working precision.
         """
-        if self._last is not None and np.array_equal(row, self._last[1]) and np.array_equal(nonzeros, self._last[0]):
-            return self._last[2]
-        self._last = None  # the memory of its factors serves the next
-        solve = self._factored(z, nonzeros, row)
-        if self.problem.in_order:  # collocation, whose solution is corrected, refined and measured with one matrix
-            self._last = nonzeros, row.copy(), solve
-        return solve
-
-    def _factored(self, z: Array, nonzeros: Array, row: Array) -> Solve:
         if self._kernel is not None:
             x = np.array(self._probes.T[None, 1::-1], order="C")
             memory = self._kernel.memory()

@@ -150,7 +150,6 @@ class Levels:
         self._solvers: dict[int, BorderedSolver] = {}
         self._correctors: dict[int, Corrector] = {}
         self._last: tuple[Problem, Array, Scalar, Measured] | None = None
-        self._seen: tuple[Problem, Scalar | None, Array, Measured | None] | None = None
         self._above: tuple[Problem, Problem] | None = None  # the last problem that was asked for its finer one
 
     def problem(self, resolution: int) -> Problem:
@@ -234,14 +233,7 @@ class Levels:
         """
         if not problem.measured_by_defect:
             return self.refined(problem, z, tangent, held)
-        if (
-            self._seen is None
-            or self._seen[0] is not problem
-            or self._seen[1] is not held
-            or not np.array_equal(self._seen[2], z)
-        ):
-            self._seen = problem, held, z, self._by_defect(problem, z, solve, tangent, held)
-        found = self._seen[3]
+        found = self._by_defect(problem, z, solve, tangent, held)
         if found is not None and found[0].relative(problem.frequency(z)) <= enough:
             return found
         return self.refined(problem, z, tangent, held)
