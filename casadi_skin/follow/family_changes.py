@@ -220,7 +220,7 @@ class OrbitSampler:
             guess = hardest.problem.prolong(hardest.z, problem)
             found = orbit_near(self.point_solver, problem, guess, row)
             tangent = found.along / self._length(problem, found.z, found.along)
-            estimate = self.levels.error(problem, found.z, tangent)
+            estimate = self.levels.refined(problem, found.z, tangent)[0]
             error = estimate.relative(problem.frequency(found.z))
             finer = self.levels.finer(problem)
             if error <= max(ORBIT_TOLERANCE, estimate.round_off) or finer is None or self.levels.finer(finer) is None:

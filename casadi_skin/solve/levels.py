@@ -149,7 +149,6 @@ class Levels:
         self._problems: dict[int, Problem] = {}
         self._solvers: dict[int, BorderedSolver] = {}
         self._correctors: dict[int, Corrector] = {}
-        self._last: tuple[Problem, Array, Scalar, Measured] | None = None
         self._above: tuple[Problem, Problem] | None = None  # the last problem that was asked for its finer one
 
     def problem(self, resolution: int) -> Problem:
@@ -217,10 +216,6 @@ class Levels:
                 return problem.placed(z, other)
         return problem
 
-    def error(self, problem: Problem, z: Array, tangent: Array | None = None) -> ErrorEstimate:
-        """Error of z, from `refined`; infinite at the top of the levels. Raises SingularError."""
-        return self.refined(problem, z, tangent)[0]
-
     def near(
         self, problem: Problem, z: Array, enough: float, solve: Solve | None = None,
         tangent: Array | None = None, held: Scalar | None = Scalar.PARAMETER,
@@ -269,21 +264,8 @@ class Levels:
         in the metric) gives the way of the branch: the step is taken across it and then brought back to the parameter
         along it, but for the neighbourhood of a fold; without a tangent the free parameter is held. Infinite and None
         at the top of the levels. Raises SingularError.
-
-        The last result is kept: a first solution is measured before it is refined.
         """
-        if tangent is not None and held is None:
-            return self._refined(problem, z, tangent, None)
-        held = held or Scalar.PARAMETER
-        if self._last is not None:
-            known, at, what, found = self._last
-            if known is problem and what is held and np.array_equal(at, z):
-                return found
-        found = self._refined(problem, z, tangent, held)
-        self._last = problem, z.copy(), held, found
-        return found
-
-    def _refined(self, problem: Problem, z: Array, tangent: Array | None, held: Scalar | None) -> Measured:
+        held = held if tangent is not None else held or Scalar.PARAMETER
         on_finer = self._on_finer(problem, z, tangent, held)
         if on_finer is None:
             return ErrorEstimate(np.inf, np.inf), None

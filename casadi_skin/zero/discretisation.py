@@ -268,12 +268,11 @@ class Discretisation:
     @cached_property
     def checks(self) -> Compiled | None:
         """The check points of the defect as kernels take them; None where a function is none of operations."""
-        compiled = all(each is None or each.places is not None for each in (self._field, self._integrands))
         table = self.table.defect
         weights = table.inner, table.values, table.slopes, table.increments, table.between, *table.quadrature
         first, count = int(np.argmax(table.checked)), int(np.count_nonzero(table.checked))
         arrays = map(np.ascontiguousarray, weights)
-        return Compiled(CHECKS, table.inner.size, first, count, *arrays) if compiled else None
+        return Compiled(CHECKS, table.inner.size, first, count, *arrays) if self.in_operations else None
 
     def __call__(self, z: Array, numbers: Array) -> tuple[Array, Array]:
         """Residual, and the non-zeros of the Jacobian in the order of `rows` and `columns`; not to be written to.

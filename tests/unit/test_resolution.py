@@ -55,7 +55,7 @@ def test_the_error_expected_of_fewer_harmonics_is_about_the_error_found() -> Non
         correction = levels.corrector(coarser).correct(
             point.problem.prolong(point.z, coarser), coarser.parameter_row(), point.parameter
         )
-        ratios.append(levels.error(coarser, correction.z).relative(point.Omega) / expected)
+        ratios.append(levels.refined(coarser, correction.z)[0].relative(point.Omega) / expected)
     assert min(ratios) > 0.1
     assert max(ratios) < 3.0  # less than 1/COARSEN: or a coarser level would be left as soon as it is tried
 
@@ -104,7 +104,7 @@ def test_rounding_of_the_derivative_matrix_does_not_show_in_the_frequency(sites:
         z = point.problem.prolong(point.z, problem)
         z = levels.corrector(problem).correct(z, problem.parameter_row(), point.parameter).z
         found.append(z[problem.Omega_index] / point.Omega)
-        estimates.append(levels.error(problem, z).Omega / point.Omega)
+        estimates.append(levels.refined(problem, z)[0].Omega / point.Omega)
     assert np.ptp(found) < 4e-15
     assert np.ptp(found) <= 2.0 * min(estimates)
 

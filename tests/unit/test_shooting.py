@@ -95,7 +95,7 @@ def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> lis
         size = np.abs(correction.z[: problem.states]).max()
         profile = np.abs(positions - exact.problem.sample(exact.z, theta)).max() / size
         Omega = abs(correction.z[problem.Omega_index] - orbit.Omega) / orbit.Omega
-        found.append((levels.error(problem, correction.z).relative(orbit.Omega), max(profile, Omega)))
+        found.append((levels.refined(problem, correction.z)[0].relative(orbit.Omega), max(profile, Omega)))
     return found
 
 
