@@ -228,6 +228,40 @@ def test_a_torus_and_a_branch_point_of_cycles_move_as_in_closed_form() -> None:
     assert np.isnan(found["e"])
 
 
+def planted_cycle(seed: int) -> tuple[Any, dict[str, float]]:
+    """The torus or the branch point of a circle seen through random coordinates at l = h(q, r), and dh/dq and dh/dr."""
+    generator = np.random.default_rng(seed)
+    turn = float(generator.uniform(0.1, 0.9)) if seed % 2 else 0.0
+    n = 5 if turn else 4
+    x, (value, q, r) = ca.vertcat(*(ca.SX.sym(f"x{k}") for k in range(n))), symbols("l q r")
+    seen = 10.0 ** generator.uniform(-2, 2, n)[:, None] * np.linalg.qr(generator.normal(size=(n, n)))[0]
+    u, a, (q0, r0) = ca.DM(np.linalg.inv(seen)) @ x, generator.normal(size=3), generator.uniform(-0.3, 0.3, 2)
+    place = lambda q, r, sin: 0.5 + a[0] * q + a[1] * q * r + a[2] * sin(r)  # noqa: E731
+    square, speed = u[0] ** 2 + u[1] ** 2, 1 + 0.3 * r
+    growth = value - place(q, r, ca.sin) + 0.2 * u[0] * q
+    rates = [u[0] * (1 - square) - speed * u[1], u[1] * (1 - square) + speed * u[0]]
+    if turn:
+        s = u[2] ** 2 + u[3] ** 2
+        rates += [(growth - s) * u[2] - turn * u[3], turn * u[2] + (growth - s) * u[3]]
+    else:
+        rates.append(growth * u[2] - u[2] ** 3)
+    rates.append(-u[n - 1] * (1.2 + 0.3 * u[0]))
+    model = OdeModel("planted", x, ca.DM(seen) @ ca.vertcat(*rates), ca.vertcat(value, q, r))
+    at, w = place(q0, r0, np.sin), 1 + 0.3 * r0
+    guess = lambda t: seen[:, :2] @ [np.cos(w * t), np.sin(w * t)]  # noqa: E731
+    orbit = find_orbit(model, guess, 2 * np.pi / w, parameters={"l": at - 0.15, "q": q0, "r": r0}, tolerance=1e-8)
+    kind = "torus" if turn else "branch point"
+    point = next(p for p in orbit.follow("l", at + 0.2, stability=True).special_points if p.kind == kind)
+    return point, {"q": a[0] + a[1] * r0, "r": a[1] * q0 + a[2] * np.cos(r0)}
+
+
+@pytest.mark.slow
+def test_errors_of_planted_points_of_cycles_are_never_below_the_truth() -> None:
+    for seed in range(24):
+        point, exact = planted_cycle(seed)
+        is_close(point.gradient(), exact, largest=1e-8)
+
+
 def langford(**given: float) -> Any:
     """The torus of Langford's equations in rho, which are not symmetric under rotations."""
     x, y, z, rho, c, w = symbols("x y z rho c w")
