@@ -113,6 +113,7 @@ def test_folds_and_branch_points_of_equilibria_move_as_in_closed_form() -> None:
     assert np.isnan(found["e"])
 
 
+@pytest.mark.slow
 def test_folds_and_hopf_points_of_a_reaction_move_along_their_curves_and_as_differences_say() -> None:
     values = {"p2": 14.0, "p3": 2.0}
 
@@ -172,7 +173,7 @@ class Planted:
         return found[0]
 
 
-@pytest.mark.parametrize("part", range(4))
+@pytest.mark.parametrize("part", [0, *(pytest.param(part, marks=pytest.mark.slow) for part in (1, 2, 3))])
 def test_errors_of_a_hundred_planted_points_are_never_below_the_truth(part: int) -> None:
     for seed in range(25 * part, 25 * part + 25):
         planted = Planted(seed)
