@@ -30,7 +30,7 @@ from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
-from casadi_skin.results.figures.style import blank, colours, finished, style, title
+from casadi_skin.results.figures.style import blank, colours, drawn, finished, title
 from casadi_skin.runs.binding import bound
 from casadi_skin.runs.output import InputError
 from casadi_skin.runs.reading import read_scene
@@ -577,28 +577,28 @@ def _draw(axes: Axes, measured: Sequence[Setting], kind: str, known: Array) -> N
     axes.set_ylim(max(low, LOWEST_ERROR), high * 2.0)
 
 
+@drawn
 def work_precision_figure(family: FamilyRequest, measured: Sequence[Setting], known: Array) -> Figure:
     """True error against time: orbits at the left, multipliers at the right; bars from the least to the most time.
 
     Errors up to those in `known`, by which the references differ, lie in a hatched band.
     """
-    with style():
-        figure = blank(10.6, 6.0)
-        orbits, multipliers = figure.subplots(1, 2)
-        _draw(orbits, measured, ORBITS, known)
-        _draw(multipliers, measured, FLOW, known)
-        lows, highs = zip(orbits.get_ylim(), multipliers.get_ylim(), strict=True)
-        for axes in (orbits, multipliers):
-            axes.set_ylim(min(lows), max(highs))
-        orbits.set(xlabel="processor time for the family without multipliers (s)")
-        orbits.set_ylabel(r"relative error of $\Omega$ or of the profile, the larger")
-        multipliers.set(xlabel=f"processor time for the multipliers of {len(family.targets.at)} orbits (s)")
-        multipliers.set_ylabel(r"error of $\mu$ relative to $\max(1, |\mu|)$")
-        letter(orbits, "a", "orbits: transcription, walker, corrector")
-        letter(multipliers, "b", "multipliers: flow map")
-        if not of_kind(measured, FLOW):
-            words = "no multipliers measured"
-            multipliers.text(0.5, 0.5, words, ha="center", va="center", transform=multipliers.transAxes)
-        model = title(family.model, family.parameters)
-        figure.suptitle(rf"$j = {family.mode}$ to $S = {family.amplitude_max:g}$, {model}")
-        return finished(figure, (orbits, multipliers), 4)
+    figure = blank(10.6, 6.0)
+    orbits, multipliers = figure.subplots(1, 2)
+    _draw(orbits, measured, ORBITS, known)
+    _draw(multipliers, measured, FLOW, known)
+    lows, highs = zip(orbits.get_ylim(), multipliers.get_ylim(), strict=True)
+    for axes in (orbits, multipliers):
+        axes.set_ylim(min(lows), max(highs))
+    orbits.set(xlabel="processor time for the family without multipliers (s)")
+    orbits.set_ylabel(r"relative error of $\Omega$ or of the profile, the larger")
+    multipliers.set(xlabel=f"processor time for the multipliers of {len(family.targets.at)} orbits (s)")
+    multipliers.set_ylabel(r"error of $\mu$ relative to $\max(1, |\mu|)$")
+    letter(orbits, "a", "orbits: transcription, walker, corrector")
+    letter(multipliers, "b", "multipliers: flow map")
+    if not of_kind(measured, FLOW):
+        words = "no multipliers measured"
+        multipliers.text(0.5, 0.5, words, ha="center", va="center", transform=multipliers.transAxes)
+    model = title(family.model, family.parameters)
+    figure.suptitle(rf"$j = {family.mode}$ to $S = {family.amplitude_max:g}$, {model}")
+    return finished(figure, (orbits, multipliers), 4)

@@ -9,7 +9,6 @@ import numpy as np
 
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import Bands, bands, brillouin_zone, lattice_modes, winding_numbers
-from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.zero.model_coordinates import linear_spectrum
 
@@ -30,7 +29,7 @@ def draw_bands(axes: Axes, found: Bands) -> None:
     axes.set_ylabel(r"linear frequency $\omega$")
 
 
-@in_turn
+@style.drawn
 def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> Figure:
     """Bands against the wave number, modes of the lattice by participation ratio, and omega^2 of a ring.
 
@@ -46,22 +45,21 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
     """
     of_cell, ring = bands(lattice, parameters), bands(lattice, parameters, RING_POINTS, open_ends=False)
     modes = lattice_modes(lattice, parameters)
-    with style.style():
-        figure = style.blank(7.2, 3.2)
-        panels = figure.subplot_mosaic("abc")
-        draw_bands(panels["a"], of_cell)
-        lean = ", ".join(f"{beta:.4g}" for beta in of_cell.beta)
-        panels["a"].set_xlabel(r"wave number $k/\pi$" if max(of_cell.beta) == min(of_cell.beta) == 1.0 else (
-            rf"wave number $k/\pi$, $|\beta| = {lean}$"))  # fmt: skip
-        panels["b"].plot(modes.participation, modes.frequencies.real, "o", ms=3, mfc="white", color="black")
-        panels["b"].set_xlabel("participation ratio (sites)")
-        panels["b"].sharey(panels["a"])
-        panels["c"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.5, color="0.45")
-        panels["c"].plot(modes.squares.real, modes.squares.imag, "o", ms=3, mfc="white", color="black")
-        panels["c"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
-        panels["c"].set_ylabel(r"Im $\omega^2$")
-        figure.suptitle(style.title(lattice, parameters))
-        return style.finished(figure, (), 1)
+    figure = style.blank(7.2, 3.2)
+    panels = figure.subplot_mosaic("abc")
+    draw_bands(panels["a"], of_cell)
+    lean = ", ".join(f"{beta:.4g}" for beta in of_cell.beta)
+    panels["a"].set_xlabel(r"wave number $k/\pi$" if max(of_cell.beta) == min(of_cell.beta) == 1.0 else (
+        rf"wave number $k/\pi$, $|\beta| = {lean}$"))  # fmt: skip
+    panels["b"].plot(modes.participation, modes.frequencies.real, "o", ms=3, mfc="white", color="black")
+    panels["b"].set_xlabel("participation ratio (sites)")
+    panels["b"].sharey(panels["a"])
+    panels["c"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.5, color="0.45")
+    panels["c"].plot(modes.squares.real, modes.squares.imag, "o", ms=3, mfc="white", color="black")
+    panels["c"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
+    panels["c"].set_ylabel(r"Im $\omega^2$")
+    figure.suptitle(style.title(lattice, parameters))
+    return style.finished(figure, (), 1)
 
 
 # The skin effect of a lattice: its modes in the loops of the ring's spectrum, and the generalised Brillouin zone ------
@@ -69,7 +67,7 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
 SKIN_RING_POINTS = 1001
 
 
-@in_turn
+@style.drawn
 def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None) -> Figure:
     """omega^2 of the ring and of the modes by their winding numbers, and the factors beta of the modes' waves.
 
@@ -87,37 +85,36 @@ def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
     squares = lattice_modes(lattice, parameters).squares
     windings = winding_numbers(lattice, squares, parameters)
     zone = brillouin_zone(lattice, squares, parameters).ravel()
-    with style.style():
-        figure = style.blank(6.6, 3.2)
-        panels = figure.subplot_mosaic("ab")
-        panels["a"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.0, color="0.6")
-        markers = {0.0: "x", 1.0: "o", -1.0: "s"}
-        for value in np.unique(windings[np.isfinite(windings)]):
-            chosen = squares[windings == value]
-            panels["a"].plot(
-                chosen.real, chosen.imag, markers.get(float(value), "^"), ms=3.5, mfc="white", color="black",
-                label=f"{value:+.0f}" if value else "0",
-            )  # fmt: skip
-        on_ring = squares[np.isnan(windings)]
-        if on_ring.size:
-            panels["a"].plot(on_ring.real, on_ring.imag, "|", ms=5, color="black", label="none: on the ring's")
-        panels["a"].legend(title="winding number", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-        panels["a"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
-        panels["a"].set_ylabel(r"Im $\omega^2$")
-        circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 201))
-        panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=style.LINE_DASHES[1])
-        panels["b"].plot(zone.real, zone.imag, "o", ms=3, mfc="white", color="black")
-        panels["b"].set_aspect("equal")
-        panels["b"].set_xlabel(r"Re $\beta$ (dashed: $|\beta| = 1$)")
-        panels["b"].set_ylabel(r"Im $\beta$")
-        figure.suptitle(style.title(lattice, parameters))
-        return style.finished(figure, (), 1)
+    figure = style.blank(6.6, 3.2)
+    panels = figure.subplot_mosaic("ab")
+    panels["a"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.0, color="0.6")
+    markers = {0.0: "x", 1.0: "o", -1.0: "s"}
+    for value in np.unique(windings[np.isfinite(windings)]):
+        chosen = squares[windings == value]
+        panels["a"].plot(
+            chosen.real, chosen.imag, markers.get(float(value), "^"), ms=3.5, mfc="white", color="black",
+            label=f"{value:+.0f}" if value else "0",
+        )  # fmt: skip
+    on_ring = squares[np.isnan(windings)]
+    if on_ring.size:
+        panels["a"].plot(on_ring.real, on_ring.imag, "|", ms=5, color="black", label="none: on the ring's")
+    panels["a"].legend(title="winding number", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    panels["a"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
+    panels["a"].set_ylabel(r"Im $\omega^2$")
+    circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 201))
+    panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=style.LINE_DASHES[1])
+    panels["b"].plot(zone.real, zone.imag, "o", ms=3, mfc="white", color="black")
+    panels["b"].set_aspect("equal")
+    panels["b"].set_xlabel(r"Re $\beta$ (dashed: $|\beta| = 1$)")
+    panels["b"].set_ylabel(r"Im $\beta$")
+    figure.suptitle(style.title(lattice, parameters))
+    return style.finished(figure, (), 1)
 
 
 # The linear spectrum and its two end modes (paper, Fig. 2a) -----------------------------------------------------------
 
 
-@in_turn
+@style.drawn
 def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -> Figure:
     """Linear frequencies against j, the cutoffs of an infinite lattice, and the modes 1 and N (paper, Fig. 2a).
 
@@ -140,27 +137,26 @@ def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -
         raise ValueError("sites: given an infinite chain; accepted for its spectrum: a whole number >= 1")
     j, n = np.arange(1, N + 1), style.position_label(model)
     frequencies = np.sqrt(np.where(spectrum.squares > 0, spectrum.squares, np.nan))
-    with style.style():
-        figure = style.blank(6.8, 3.6)
-        panels = figure.subplot_mosaic("aab;aac" if N > 1 else "aab")
-        marker = "o" if N <= style.MARKED_SITES else ""
-        panels["a"].plot(j, frequencies, marker=marker, ms=4, lw=0.8, color="black", mfc="white", zorder=3)
-        cutoffs = zip(spectrum.cutoffs or (), ("min", "max"), (0.97, 0.03), (False, True), strict=False)
-        for square, name, x, below in cutoffs:
-            if square > 0:
-                omega, sides = float(np.sqrt(square)), ("left", "top") if below else ("right", "bottom")
-                panels["a"].axhline(omega, color="0.45", lw=0.9, ls="--")
-                panels["a"].annotate(
-                    rf"$\omega_\mathrm{{{name}}} = {omega:.4g}$", (x, omega), (0, -3 if below else 3),
-                    panels["a"].get_yaxis_transform(), "offset points", ha=sides[0], va=sides[1],
-                )  # fmt: skip
-        style.number_sites(panels["a"], 1, N, "mode $j$")
-        panels["a"].set_ylabel(r"linear frequency $\omega_j$")
-        for letter, mode in zip("bc", (N, 1)[-len(panels) + 1 :], strict=False):
-            u = spectrum.mode(mode)
-            panels[letter].axhline(0.0, color="0.45", lw=0.5)
-            panels[letter].plot(j, u, marker=marker, ms=2.5, lw=0.8, color="black")
-            panels[letter].set_ylabel(rf"$u_{{{mode},n}}$")
-            style.number_sites(panels[letter], *style.moving(u[None]), n if mode == 1 else "")
-        figure.suptitle(style.title(model, parameters))
-        return style.finished(figure, (), 1, plain=True)
+    figure = style.blank(6.8, 3.6)
+    panels = figure.subplot_mosaic("aab;aac" if N > 1 else "aab")
+    marker = "o" if N <= style.MARKED_SITES else ""
+    panels["a"].plot(j, frequencies, marker=marker, ms=4, lw=0.8, color="black", mfc="white", zorder=3)
+    cutoffs = zip(spectrum.cutoffs or (), ("min", "max"), (0.97, 0.03), (False, True), strict=False)
+    for square, name, x, below in cutoffs:
+        if square > 0:
+            omega, sides = float(np.sqrt(square)), ("left", "top") if below else ("right", "bottom")
+            panels["a"].axhline(omega, color="0.45", lw=0.9, ls="--")
+            panels["a"].annotate(
+                rf"$\omega_\mathrm{{{name}}} = {omega:.4g}$", (x, omega), (0, -3 if below else 3),
+                panels["a"].get_yaxis_transform(), "offset points", ha=sides[0], va=sides[1],
+            )  # fmt: skip
+    style.number_sites(panels["a"], 1, N, "mode $j$")
+    panels["a"].set_ylabel(r"linear frequency $\omega_j$")
+    for letter, mode in zip("bc", (N, 1)[-len(panels) + 1 :], strict=False):
+        u = spectrum.mode(mode)
+        panels[letter].axhline(0.0, color="0.45", lw=0.5)
+        panels[letter].plot(j, u, marker=marker, ms=2.5, lw=0.8, color="black")
+        panels[letter].set_ylabel(rf"$u_{{{mode},n}}$")
+        style.number_sites(panels[letter], *style.moving(u[None]), n if mode == 1 else "")
+    figure.suptitle(style.title(model, parameters))
+    return style.finished(figure, (), 1, plain=True)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
-from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.results.quantities import extremes
 from casadi_skin.zero.kinds import HOPF, KINDS, kind_of
@@ -210,7 +209,7 @@ def solution_title(solution: Solution, name: str = "", without: Iterable[str] = 
 # Branches in one parameter, and curves in two -------------------------------------------------------------------------
 
 
-@in_turn
+@style.drawn
 def branch_figure(branch: Branch, title: str = "") -> Figure:
     """Largest and smallest value of the first state, and the period or the largest multiplier, against the parameter.
 
@@ -235,23 +234,22 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
     from matplotlib.lines import Line2D
 
     panels = [(f"{state}: largest and smallest value", courses(branch, 0)), *_second_panel(branch)]
-    with style.style():
-        figure = style.blank(6.0, 3.6 if len(panels) == 1 else 5.6)
-        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-        for panel, (label, curves) in zip(axes, panels, strict=True):
-            for curve, colour in zip(curves, style.colours(len(curves)), strict=True):
-                path = np.column_stack([branch.values, curve])
-                pieces = stability_pieces(branch, path)
-                draw_pieces(panel, branch, path, pieces, colour, "" if space.connects == ORBITS else "solutions")
-                draw_changes(panel, branch, path, pieces)
-                draw_marks(panel, branch, path, "black")
-            if len(curves) == 2:
-                handles = [Line2D([], [], color=colour, lw=2.0) for colour in style.colours(2)]
-                panel.legend(handles, ["largest", "smallest"], loc="best")
-            panel.set_ylabel(label)
-        axes[-1].set_xlabel(style.plain(space.parameter))
-        axes[0].set_title(solution_title(branch.solutions[0], title, (space.parameter, *space.free)), y=1.0)
-        return style.finished(figure, axes, 5, in_black=True, plain=True)
+    figure = style.blank(6.0, 3.6 if len(panels) == 1 else 5.6)
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, (label, curves) in zip(axes, panels, strict=True):
+        for curve, colour in zip(curves, style.colours(len(curves)), strict=True):
+            path = np.column_stack([branch.values, curve])
+            pieces = stability_pieces(branch, path)
+            draw_pieces(panel, branch, path, pieces, colour, "" if space.connects == ORBITS else "solutions")
+            draw_changes(panel, branch, path, pieces)
+            draw_marks(panel, branch, path, "black")
+        if len(curves) == 2:
+            handles = [Line2D([], [], color=colour, lw=2.0) for colour in style.colours(2)]
+            panel.legend(handles, ["largest", "smallest"], loc="best")
+        panel.set_ylabel(label)
+    axes[-1].set_xlabel(style.plain(space.parameter))
+    axes[0].set_title(solution_title(branch.solutions[0], title, (space.parameter, *space.free)), y=1.0)
+    return style.finished(figure, axes, 5, in_black=True, plain=True)
 
 
 def _second_panel(branch: Branch) -> list[tuple[str, list[Array]]]:
@@ -263,6 +261,7 @@ def _second_panel(branch: Branch) -> list[tuple[str, list[Array]]]:
     return [("largest |multiplier|", [branch.max_abs_multiplier])]
 
 
+@style.drawn
 def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int = 0) -> Figure:
     """A state of equilibria, and its largest and smallest value along cycles, against the parameter.
 
@@ -284,24 +283,24 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
     first = held[0].solutions[0]
     name = style.plain(first.space.state_names[state])
     rest, cycle = style.colours(2)
-    with style.style():
-        figure = style.blank(6.4, 4.2)
-        axes = figure.subplots()
-        for branch in held:
-            closed = branch.space.connects in (FAMILY, ORBITS)
-            kind = "cycles" if closed else "equilibria" if branch.space.connects == EQUILIBRIA else "solutions"
-            for heights in courses(branch, state):
-                path = np.column_stack([branch.values, heights])
-                draw_pieces(axes, branch, path, stability_pieces(branch, path), cycle if closed else rest, kind)
-                draw_special(axes, branch, path, 6)
-        equilibria = [branch.space.connects == EQUILIBRIA for branch in held]
-        both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
-        what = name if all(equilibria) else both
-        axes.set(xlabel=style.plain(held[0].parameter), ylabel=what)
-        axes.set_title(solution_title(first, title, (held[0].parameter, *held[0].space.free)), y=1.0)
-        return style.finished(figure, [axes], 3, plain=True)
+    figure = style.blank(6.4, 4.2)
+    axes = figure.subplots()
+    for branch in held:
+        closed = branch.space.connects in (FAMILY, ORBITS)
+        kind = "cycles" if closed else "equilibria" if branch.space.connects == EQUILIBRIA else "solutions"
+        for heights in courses(branch, state):
+            path = np.column_stack([branch.values, heights])
+            draw_pieces(axes, branch, path, stability_pieces(branch, path), cycle if closed else rest, kind)
+            draw_special(axes, branch, path, 6)
+    equilibria = [branch.space.connects == EQUILIBRIA for branch in held]
+    both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
+    what = name if all(equilibria) else both
+    axes.set(xlabel=style.plain(held[0].parameter), ylabel=what)
+    axes.set_title(solution_title(first, title, (held[0].parameter, *held[0].space.free)), y=1.0)
+    return style.finished(figure, [axes], 3, plain=True)
 
 
+@style.drawn
 def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
     """Curves of special points in the plane of two parameters, with their points of codimension two.
 
@@ -319,21 +318,21 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
     if len(planes) != 1 or len(next(iter(planes))) != 2:
         raise ValueError("curves: given branches of other kinds or in other parameters; accepted: curves in one plane")
     second, first = next(iter(planes))
-    with style.style():
-        figure = style.blank(6.0, 4.4)
-        axes = figure.subplots()
-        looks = [(curve.space.kind, curve.space.connects == ORBITS) for curve in curves]
-        order = sorted(set(looks), key=lambda look: (look[1], list(KINDS).index(look[0])))
-        for curve, look in zip(curves, looks, strict=True):
-            path = np.column_stack([curve[first], curve[second]])
-            colour = style.colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == HOPF)]
-            draw_pieces(axes, curve, path, [(None, path)], colour)
-            draw_special(axes, curve, path, 6)
-        axes.set(xlabel=style.plain(first), ylabel=style.plain(second))
-        axes.set_title(solution_title(curves[0].solutions[0], title, (first, second, *curves[0].space.free)), y=1.0)
-        return style.finished(figure, [axes], 4, plain=True)
+    figure = style.blank(6.0, 4.4)
+    axes = figure.subplots()
+    looks = [(curve.space.kind, curve.space.connects == ORBITS) for curve in curves]
+    order = sorted(set(looks), key=lambda look: (look[1], list(KINDS).index(look[0])))
+    for curve, look in zip(curves, looks, strict=True):
+        path = np.column_stack([curve[first], curve[second]])
+        colour = style.colours(max(2, len(order)))[order.index(look) if len(order) > 1 else int(look[0] == HOPF)]
+        draw_pieces(axes, curve, path, [(None, path)], colour)
+        draw_special(axes, curve, path, 6)
+    axes.set(xlabel=style.plain(first), ylabel=style.plain(second))
+    axes.set_title(solution_title(curves[0].solutions[0], title, (first, second, *curves[0].space.free)), y=1.0)
+    return style.finished(figure, [axes], 4, plain=True)
 
 
+@style.drawn
 def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
     """Edges of tongues of families in the plane of a parameter and S, with their error bars where these show.
 
@@ -350,15 +349,14 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
     if len({curve.parameter for curve in curves}) != 1:
         raise ValueError("curves: given edges in different parameters, or none; accepted: edges in one parameter")
     model, words = curves[0].points[0].orbit.model, {"real": "through 1 or -1", "complex": "Krein collisions"}
-    with style.style():
-        figure = style.blank(6.0, 4.4)
-        axes = figure.subplots()
-        kinds = [*words, *sorted({curve.kind for curve in curves} - set(words))]
-        for curve in curves:
-            colour, label = style.colours(len(kinds))[kinds.index(curve.kind)], words.get(curve.kind, curve.kind)
-            draw_edge(axes, curve, lw=1.4, color=colour, label=label)
-        axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
-        return style.finished(figure, [axes], 4, plain=True)
+    figure = style.blank(6.0, 4.4)
+    axes = figure.subplots()
+    kinds = [*words, *sorted({curve.kind for curve in curves} - set(words))]
+    for curve in curves:
+        colour, label = style.colours(len(kinds))[kinds.index(curve.kind)], words.get(curve.kind, curve.kind)
+        draw_edge(axes, curve, lw=1.4, color=colour, label=label)
+    axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
+    return style.finished(figure, [axes], 4, plain=True)
 
 
 def draw_edge(axes: Axes, curve: EdgeCurve, **look: Any) -> None:

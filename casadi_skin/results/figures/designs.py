@@ -9,7 +9,7 @@ import numpy as np
 from casadi_skin.optimise.designs import Design
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import CosineOrbit, Ending
-from casadi_skin.results.figures.style import blank, finished, number, number_sites, plain, style
+from casadi_skin.results.figures.style import blank, drawn, finished, number, number_sites, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 NARROWEST_AXIS = 1e-3  # of an axis, relative: starts that agree are to look so
 
 
+@drawn
 def design_figure(result: Design, name: str) -> Figure:
     """The way of a design to its optimum and, of a family, the profile of the orbit there."""
-    with style():
-        of_family = isinstance(result.solution, CosineOrbit)
-        figure = blank(7.2 if of_family else 4.4, 3.6)
-        axes = figure.subplots(1, 1 + of_family, squeeze=False)[0]
-        draw_path(axes[0], result)
-        if of_family:
-            for orbit, marker in zip(result.located, "osD^v" * len(result.located), strict=False):
-                profile = np.abs(orbit.profile)
-                label = f"$S = {number(orbit.S)}$, $\\Omega = {number(orbit.Omega)}$"
-                axes[1].semilogy(np.arange(1, profile.size + 1), profile, f"{marker}-", ms=4, lw=0.7, label=label)
-            number_sites(axes[1], 1, profile.size, "site $n$")
-            axes[1].set_ylabel("$|y_n(0)|$")
-        figure.suptitle(f"{plain(result.quantity)} $= {number(result.value)}$ ({name})")
-        return finished(figure, tuple(axes), 3)
+    of_family = isinstance(result.solution, CosineOrbit)
+    figure = blank(7.2 if of_family else 4.4, 3.6)
+    axes = figure.subplots(1, 1 + of_family, squeeze=False)[0]
+    draw_path(axes[0], result)
+    if of_family:
+        for orbit, marker in zip(result.located, "osD^v" * len(result.located), strict=False):
+            profile = np.abs(orbit.profile)
+            label = f"$S = {number(orbit.S)}$, $\\Omega = {number(orbit.Omega)}$"
+            axes[1].semilogy(np.arange(1, profile.size + 1), profile, f"{marker}-", ms=4, lw=0.7, label=label)
+        number_sites(axes[1], 1, profile.size, "site $n$")
+        axes[1].set_ylabel("$|y_n(0)|$")
+    figure.suptitle(f"{plain(result.quantity)} $= {number(result.value)}$ ({name})")
+    return finished(figure, tuple(axes), 3)
 
 
 def draw_path(axes: Axes, result: Design) -> None:

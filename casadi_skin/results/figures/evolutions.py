@@ -17,7 +17,6 @@ from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.lattice import Lattice
-from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.zero.problem import Array
 
@@ -35,7 +34,7 @@ EXTENT_WINDOWS = 200  # over which that extent is taken
 FEW_STATES = 6  # states of a model of first order that are drawn as lines
 
 
-@in_turn
+@style.drawn
 def spacetime_figure(
     evolution: Evolution,
     title: str = "",
@@ -68,33 +67,32 @@ def spacetime_figure(
     """
     energy, few = energy and evolution.has_energy, _has_few_states(evolution)
     profile = profile and not few
-    with style.style():
-        below = [draw for draw, wanted in ((_draw_energy, energy), (_distance_of(orbit), orbit is not None)) if wanted]
-        figure = style.blank(6.4 + 1.1 * profile, 3.4 + 1.1 * len(below))
-        widths, heights = ([1.0, 6.0] if profile else [1.0]), [3.0, *(1.0 for _ in below)]
-        grid = figure.add_gridspec(len(heights), len(widths), width_ratios=widths, height_ratios=heights)
-        main = last = figure.add_subplot(grid[0, -1])
-        if few:
-            _draw_states(main, evolution)
-        else:
-            image = draw_spacetime(main, evolution, orbit)
-            beyond = bool(np.abs(_shown(evolution)).max() > 1.02 * _largest(evolution, orbit))
-            extend = "both" if beyond else "neither"
-            figure.colorbar(
-                image, ax=main, label=_colour_label(evolution), aspect=22, pad=0.02, extend=extend, use_gridspec=False
-            )
-        if profile:
-            _draw_profile(figure.add_subplot(grid[0, 0], sharey=main), evolution)
-        for row, draw in enumerate(below, start=1):
-            last.tick_params(labelbottom=False)
-            last = figure.add_subplot(grid[row, -1], sharex=main)
-            draw(last, evolution)
-        last.set_xlabel(_time_label(evolution))
-        if kicked_site is not None and not few:
-            main.plot(evolution.t[0], kicked_site, ">", ms=8, mfc="white", mec="black", clip_on=False, zorder=5)
-        model = style.title(evolution.model, evolution.parameters)
-        figure.suptitle("; ".join(words for words in (title, model) if words))
-        return style.finished(figure, (main,) if few else (), FEW_STATES)
+    below = [draw for draw, wanted in ((_draw_energy, energy), (_distance_of(orbit), orbit is not None)) if wanted]
+    figure = style.blank(6.4 + 1.1 * profile, 3.4 + 1.1 * len(below))
+    widths, heights = ([1.0, 6.0] if profile else [1.0]), [3.0, *(1.0 for _ in below)]
+    grid = figure.add_gridspec(len(heights), len(widths), width_ratios=widths, height_ratios=heights)
+    main = last = figure.add_subplot(grid[0, -1])
+    if few:
+        _draw_states(main, evolution)
+    else:
+        image = draw_spacetime(main, evolution, orbit)
+        beyond = bool(np.abs(_shown(evolution)).max() > 1.02 * _largest(evolution, orbit))
+        extend = "both" if beyond else "neither"
+        figure.colorbar(
+            image, ax=main, label=_colour_label(evolution), aspect=22, pad=0.02, extend=extend, use_gridspec=False
+        )
+    if profile:
+        _draw_profile(figure.add_subplot(grid[0, 0], sharey=main), evolution)
+    for row, draw in enumerate(below, start=1):
+        last.tick_params(labelbottom=False)
+        last = figure.add_subplot(grid[row, -1], sharex=main)
+        draw(last, evolution)
+    last.set_xlabel(_time_label(evolution))
+    if kicked_site is not None and not few:
+        main.plot(evolution.t[0], kicked_site, ">", ms=8, mfc="white", mec="black", clip_on=False, zorder=5)
+    model = style.title(evolution.model, evolution.parameters)
+    figure.suptitle("; ".join(words for words in (title, model) if words))
+    return style.finished(figure, (main,) if few else (), FEW_STATES)
 
 
 def _has_few_states(evolution: Evolution) -> bool:
@@ -263,7 +261,7 @@ def sizes_of(found: Spreading) -> dict[str, Array]:
     return {"participation number (sites)": found.participation, "second moment (cells squared)": found.second_moment}
 
 
-@in_turn
+@style.drawn
 def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
     """Energies of the sites in time as colour, and below them three numbers that locate them.
 
@@ -279,24 +277,23 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
     step = max(1, 2 * found.t.size // MOST_COLUMNS)
     energies = np.abs(found.energies[::step]).T
     largest = float(np.max(energies)) or 1.0
-    with style.style():
-        figure = style.blank(6.2, 6.0)
-        panels = figure.subplot_mosaic([["a"], ["a"], ["b"], ["c"]], sharex=True)
-        numbers, norm = np.arange(1, len(energies) + 1), LogNorm(largest * 10.0**-SPREADING_DECADES, largest)
-        look: dict[str, Any] = {"cmap": COLOUR_MAP, "norm": norm, "shading": "nearest", "rasterized": True}
-        drawn = panels["a"].pcolormesh(
-            found.t[::step], numbers, np.maximum(energies, largest * 10.0**-SPREADING_DECADES), **look
-        )
-        panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
-        figure.colorbar(drawn, ax=panels["a"], label="energy of the site", use_gridspec=False)
-        several = found.centre.shape[1] > 1
-        names = [f"along direction {k}" if several else None for k in range(1, 1 + found.centre.shape[1])]
-        for place, curves in (("b", dict(zip(names, found.centre.T, strict=True))), ("c", sizes_of(found))):
-            style.draw_curves(panels[place], found.t, curves, color="black", lw=0.9)  # type: ignore[arg-type]
-        panels["b"].set_ylabel("centre (cell)")
-        for place in ("b", "c") if several else ("c",):
-            panels[place].legend(loc="best")
-        panels["c"].set_ylim(bottom=0.0)
-        panels["c"].set_xlabel("time $t$")
-        figure.suptitle(style.title(lattice))
-        return style.finished(figure, (), 1)
+    figure = style.blank(6.2, 6.0)
+    panels = figure.subplot_mosaic([["a"], ["a"], ["b"], ["c"]], sharex=True)
+    numbers, norm = np.arange(1, len(energies) + 1), LogNorm(largest * 10.0**-SPREADING_DECADES, largest)
+    look: dict[str, Any] = {"cmap": COLOUR_MAP, "norm": norm, "shading": "nearest", "rasterized": True}
+    drawn = panels["a"].pcolormesh(
+        found.t[::step], numbers, np.maximum(energies, largest * 10.0**-SPREADING_DECADES), **look
+    )
+    panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
+    figure.colorbar(drawn, ax=panels["a"], label="energy of the site", use_gridspec=False)
+    several = found.centre.shape[1] > 1
+    names = [f"along direction {k}" if several else None for k in range(1, 1 + found.centre.shape[1])]
+    for place, curves in (("b", dict(zip(names, found.centre.T, strict=True))), ("c", sizes_of(found))):
+        style.draw_curves(panels[place], found.t, curves, color="black", lw=0.9)  # type: ignore[arg-type]
+    panels["b"].set_ylabel("centre (cell)")
+    for place in ("b", "c") if several else ("c",):
+        panels[place].legend(loc="best")
+    panels["c"].set_ylim(bottom=0.0)
+    panels["c"].set_xlabel("time $t$")
+    figure.suptitle(style.title(lattice))
+    return style.finished(figure, (), 1)

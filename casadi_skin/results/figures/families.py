@@ -11,7 +11,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.linear import band_edges, lattice_modes
-from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.results.figures.branches import Pieces, draw_changes, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.multipliers import frequency_pieces, requested, shade_unresolved
@@ -135,7 +134,7 @@ def _draw_shifts(axes: Axes, branches: Sequence[Branch]) -> None:
         axes.annotate(name, (end[0], size), (6, 0), textcoords="offset points", va="center", annotation_clip=False)
 
 
-@in_turn
+@style.drawn
 def frequency_figure(branches: Sequence[Branch]) -> Figure:
     """Omega against S of families, stable solid and unstable dashed (paper, Fig. 3a and d).
 
@@ -152,35 +151,34 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
         ValueError: there is no branch, one is no family, or they are of different models.
     """
     model, parameters = style.common_model(branches)
-    with style.style():
-        paths = [family_path(branch, False) for branch in branches]
-        beside = _hardly_move(paths)
-        figure = style.blank(11.0 if beside else 6.0, 4.6)
-        axes = figure.add_subplot(1, 1 + beside, 1)
-        shift = len(branches) == 1 and bool(np.ptp(paths[0][:, 1]) < 1e-4 * paths[0][0, 1])
-        if shift:
-            paths = [family_path(branches[0], True)]
-        draw_band(axes, model, branches[0].start.Omega if shift else 0.0, parameters)
-        for branch, path, colour in zip(branches, paths, style.colours(len(branches)), strict=True):
-            pieces = family_pieces(branch, path, shift)
-            draw_pieces(axes, branch, path, pieces, colour)
-            draw_changes(axes, branch, path, pieces, strip=len(branches) == 1)
-            if branch.unresolved:
-                shade_unresolved(axes, branch.unresolved)
-            _draw_theory(axes, branch, np.array([0.0, path[:, 0].max()]), shift)
-            draw_marks(axes, branch, path, colour)
-        points = np.concatenate(paths)
-        low, high = points[:, 1].min(), points[:, 1].max()
-        margin = 0.07 * (high - low) or 0.05 * (high or 1.0)
-        axes.set(xlim=(0.0, points[:, 0].max() or 1.0), ylim=(low - margin, high + margin))
-        axes.set_title(style.title(model, parameters), y=1.0)
-        label_ends(axes, branches, np.array([path[-1] for path in paths]))
-        if beside:
-            _draw_shifts(figure.add_subplot(1, 2, 2), branches)
-        mode = style.family(branches[0]).coordinates.mode_number
-        label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
-        axes.set(xlabel=style.amplitude_label(model), ylabel=label)
-        return style.finished(figure, [axes], 3, in_black=True, plain=True)
+    paths = [family_path(branch, False) for branch in branches]
+    beside = _hardly_move(paths)
+    figure = style.blank(11.0 if beside else 6.0, 4.6)
+    axes = figure.add_subplot(1, 1 + beside, 1)
+    shift = len(branches) == 1 and bool(np.ptp(paths[0][:, 1]) < 1e-4 * paths[0][0, 1])
+    if shift:
+        paths = [family_path(branches[0], True)]
+    draw_band(axes, model, branches[0].start.Omega if shift else 0.0, parameters)
+    for branch, path, colour in zip(branches, paths, style.colours(len(branches)), strict=True):
+        pieces = family_pieces(branch, path, shift)
+        draw_pieces(axes, branch, path, pieces, colour)
+        draw_changes(axes, branch, path, pieces, strip=len(branches) == 1)
+        if branch.unresolved:
+            shade_unresolved(axes, branch.unresolved)
+        _draw_theory(axes, branch, np.array([0.0, path[:, 0].max()]), shift)
+        draw_marks(axes, branch, path, colour)
+    points = np.concatenate(paths)
+    low, high = points[:, 1].min(), points[:, 1].max()
+    margin = 0.07 * (high - low) or 0.05 * (high or 1.0)
+    axes.set(xlim=(0.0, points[:, 0].max() or 1.0), ylim=(low - margin, high + margin))
+    axes.set_title(style.title(model, parameters), y=1.0)
+    label_ends(axes, branches, np.array([path[-1] for path in paths]))
+    if beside:
+        _draw_shifts(figure.add_subplot(1, 2, 2), branches)
+    mode = style.family(branches[0]).coordinates.mode_number
+    label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
+    axes.set(xlabel=style.amplitude_label(model), ylabel=label)
+    return style.finished(figure, [axes], 3, in_black=True, plain=True)
 
 
 # The power series of a family: its sums over the family, with the radius of convergence -------------------------------
@@ -206,7 +204,7 @@ def draw_series(axes: Axes, series: FamilySeries, to: float | None = None) -> No
         axes.axvspan(max(radius - error, 0.0), radius + error, fc="0.9", ec="none", zorder=0)
 
 
-@in_turn
+@style.drawn
 def series_figure(branch: Branch, series: FamilySeries) -> Figure:
     """Omega against S of a family, and the sums of its power series.
 
@@ -221,15 +219,14 @@ def series_figure(branch: Branch, series: FamilySeries) -> Figure:
         ValueError: the branch is no family.
     """
     model, parameters = style.common_model([branch])
-    with style.style():
-        figure, path = style.blank(6.0, 4.4), family_path(branch, False)
-        axes = figure.add_subplot()
-        draw_series(axes, series, float(path[:, 0].max()))
-        axes.plot(*path.T, color="0.75", lw=4.0, zorder=1, label="family")
-        ends = *axes.get_ylim(), float(path[:, 1].min()), float(path[:, 1].max())
-        axes.set(ylim=(min(ends), max(ends)), xlabel=style.amplitude_label(model))
-        axes.set_title(style.title(model, parameters), y=1.0)
-        return style.finished(figure, [axes], 4)
+    figure, path = style.blank(6.0, 4.4), family_path(branch, False)
+    axes = figure.add_subplot()
+    draw_series(axes, series, float(path[:, 0].max()))
+    axes.plot(*path.T, color="0.75", lw=4.0, zorder=1, label="family")
+    ends = *axes.get_ylim(), float(path[:, 1].min()), float(path[:, 1].max())
+    axes.set(ylim=(min(ends), max(ends)), xlabel=style.amplitude_label(model))
+    axes.set_title(style.title(model, parameters), y=1.0)
+    return style.finished(figure, [axes], 4)
 
 
 # Profiles of requested orbits beside their linear mode (paper, Fig. 3b, e) --------------------------------------------
@@ -302,7 +299,7 @@ def _draw_profiles(
         axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
 
 
-@in_turn
+@style.drawn
 def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     """Profiles y_n(0) of requested orbits, scaled to norm 1, over the linear mode.
 
@@ -329,19 +326,18 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
     keys = sorted({key for _, orbits in chosen for key in orbits})
     rows, columns = len(chosen), 2 if steep else 1
-    with style.style():
-        looks = _looks(keys, shown.size <= style.MARKED_SITES)
-        figure = style.blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
-        panels = figure.subplots(rows, columns, sharex="col", squeeze=False)
-        for row, (branch, orbits) in zip(panels, chosen, strict=True):
-            _draw_profiles(row, branch, orbits, looks)
-        low, high = style.moving(profiles)
-        for axes, ends in zip(panels[-1], ((shown[low - 1], shown[high - 1]), (shown[0], shown[-1])), strict=False):
-            style.number_sites(axes, int(ends[0]), int(ends[1]), style.position_label(model))
-        figure.suptitle(style.title(model, parameters))
-        figure.align_ylabels()
-        several = any(passage for _, passage in keys)
-        return style.finished(figure, panels[:, 0], columns * (2 if several else 3), plain=True)
+    looks = _looks(keys, shown.size <= style.MARKED_SITES)
+    figure = style.blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
+    panels = figure.subplots(rows, columns, sharex="col", squeeze=False)
+    for row, (branch, orbits) in zip(panels, chosen, strict=True):
+        _draw_profiles(row, branch, orbits, looks)
+    low, high = style.moving(profiles)
+    for axes, ends in zip(panels[-1], ((shown[low - 1], shown[high - 1]), (shown[0], shown[-1])), strict=False):
+        style.number_sites(axes, int(ends[0]), int(ends[1]), style.position_label(model))
+    figure.suptitle(style.title(model, parameters))
+    figure.align_ylabels()
+    several = any(passage for _, passage in keys)
+    return style.finished(figure, panels[:, 0], columns * (2 if several else 3), plain=True)
 
 
 # Orbits of a lattice in two dimensions: displacements in the plane, and their sizes -----------------------------------
@@ -350,7 +346,7 @@ MOST_ORBITS = 3  # side by side
 DEEPEST_PLANE = -8.0  # of the logarithms drawn
 
 
-@in_turn
+@style.drawn
 def plane_figure(branch: Branch) -> Figure | None:
     """Displacements at t = 0 over their norm in the plane, and their decimal logarithms, one column a requested orbit.
 
@@ -368,24 +364,23 @@ def plane_figure(branch: Branch) -> Figure | None:
     if lattice.declaration is None or len(lattice.declaration.cells) != 2 or not orbits:
         return None
     rows, columns = lattice.declaration.cells[0], lattice.declaration.cells[1] * len(lattice.declaration.sites)
-    with style.style():
-        figure = style.blank(0.6 + 2.8 * len(orbits), 5.2)
-        panels = figure.subplots(2, len(orbits), squeeze=False)
-        for k, orbit in enumerate(orbits):
-            y = orbit.profile.reshape(rows, columns) / np.sqrt(orbit.S)
-            largest = float(np.max(np.abs(y)))
-            with np.errstate(divide="ignore"):
-                logs = np.maximum(np.log10(np.abs(y)), DEEPEST_PLANE)
-            looks: Sequence[tuple[np.ndarray, str, float, float, str]] = (
-                (y, "RdBu", -largest, largest, rf"$y(0)/\|y\|$, $S = {style.number(orbit.S)}$"),
-                (logs, "viridis", float(np.min(logs)), 0.0, r"$\log_{10}|y(0)|/\|y\|$"),
-            )
-            for panel, (values, colours, low, high, words) in zip(panels[:, k], looks, strict=True):
-                extent = (0.5, rows + 0.5, 0.5, columns + 0.5)
-                image = panel.imshow(values.T, cmap=colours, vmin=low, vmax=high, origin="lower", extent=extent)
-                figure.colorbar(image, ax=panel, shrink=0.8, use_gridspec=False)
-                panel.set_title(words)
-                panel.set_xlabel("cell $n$")
-                panel.set_ylabel("cell $m$" if len(lattice.declaration.sites) == 1 else "sites along $m$")
-        figure.suptitle(style.title(lattice, style.family(branch).coordinates.parameters))
-        return style.finished(figure, (), 1)
+    figure = style.blank(0.6 + 2.8 * len(orbits), 5.2)
+    panels = figure.subplots(2, len(orbits), squeeze=False)
+    for k, orbit in enumerate(orbits):
+        y = orbit.profile.reshape(rows, columns) / np.sqrt(orbit.S)
+        largest = float(np.max(np.abs(y)))
+        with np.errstate(divide="ignore"):
+            logs = np.maximum(np.log10(np.abs(y)), DEEPEST_PLANE)
+        looks: Sequence[tuple[np.ndarray, str, float, float, str]] = (
+            (y, "RdBu", -largest, largest, rf"$y(0)/\|y\|$, $S = {style.number(orbit.S)}$"),
+            (logs, "viridis", float(np.min(logs)), 0.0, r"$\log_{10}|y(0)|/\|y\|$"),
+        )
+        for panel, (values, colours, low, high, words) in zip(panels[:, k], looks, strict=True):
+            extent = (0.5, rows + 0.5, 0.5, columns + 0.5)
+            image = panel.imshow(values.T, cmap=colours, vmin=low, vmax=high, origin="lower", extent=extent)
+            figure.colorbar(image, ax=panel, shrink=0.8, use_gridspec=False)
+            panel.set_title(words)
+            panel.set_xlabel("cell $n$")
+            panel.set_ylabel("cell $m$" if len(lattice.declaration.sites) == 1 else "sites along $m$")
+    figure.suptitle(style.title(lattice, style.family(branch).coordinates.parameters))
+    return style.finished(figure, (), 1)

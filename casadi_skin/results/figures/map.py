@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.results.figures.style import blank, finished, number, plain, style
+from casadi_skin.results.figures.style import blank, drawn, finished, number, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,6 +54,7 @@ class Panel:
     lines: Sequence[Values] = ()
 
 
+@drawn
 def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[Panel]) -> Figure:
     """A panel for each value of the parameters that are not along an axis, with one scale of colours.
 
@@ -69,15 +70,14 @@ def map_figure(name: str, title: str, axes: Sequence[MapAxis], panels: Sequence[
     shown = panels[:MOST_PANELS]
     columns = min(len(shown), PANEL_COLUMNS)
     rows = math.ceil(len(shown) / columns)
-    with style():
-        figure = blank(1.2 + 3.6 * columns, 0.7 + 3.1 * rows)
-        grid = figure.subplots(rows, columns, squeeze=False, sharey=len(axes) == 1).ravel().tolist()
-        for spare in grid[len(shown) :]:
-            spare.set_visible(False)
-        draw_maps(grid[: len(shown)], name, axes, shown)
-        more = f" (the first {MOST_PANELS} of {len(panels)})" if len(panels) > MOST_PANELS else ""
-        figure.suptitle(f"{plain(title)}{more}")
-        return finished(figure, grid[: len(shown)], 4)
+    figure = blank(1.2 + 3.6 * columns, 0.7 + 3.1 * rows)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=len(axes) == 1).ravel().tolist()
+    for spare in grid[len(shown) :]:
+        spare.set_visible(False)
+    draw_maps(grid[: len(shown)], name, axes, shown)
+    more = f" (the first {MOST_PANELS} of {len(panels)})" if len(panels) > MOST_PANELS else ""
+    figure.suptitle(f"{plain(title)}{more}")
+    return finished(figure, grid[: len(shown)], 4)
 
 
 def draw_maps(places: Sequence[Axes], name: str, axes: Sequence[MapAxis], panels: Sequence[Panel]) -> None:

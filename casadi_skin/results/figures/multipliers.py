@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casadi_skin.model.result import in_turn
 from casadi_skin.results.figures import style
 from casadi_skin.stability.result import CutTail, Floquet
 from casadi_skin.zero.problem import Array
@@ -265,7 +264,7 @@ def requested(branch: Branch, at_most: int) -> dict[tuple[float, int], Orbit]:
     return {keys[i]: orbits[i] for i in picked}
 
 
-@in_turn
+@style.drawn
 def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
     """Moduli of the multipliers along a branch, and multipliers in the complex plane at up to three requested orbits.
 
@@ -285,26 +284,25 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
     if diagram is not None and not diagram.pieces:
         diagram = None
     with_angles = diagram is not None and diagram.symplectic
-    with style.style():
-        figure, panels = _panels(len(chosen), with_angles)
-        _draw_moduli(panels["a"], branch, diagram)
-        panels["a"].set_title("(a)", loc="left", y=1.0)
-        if diagram is not None and with_angles:
-            draw_angles(panels["b"], diagram)
-            panels["b"].set(xlim=panels["a"].get_xlim(), xlabel=panels["a"].get_xlabel())
-            panels["b"].set_title("(b)", loc="left", y=1.0)
-        for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):
-            draw_plane(panels[letter], orbit.floquet())
-            largest = orbit.floquet().max_abs_multiplier
-            words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {style.number(largest, 4)}$"
-            panels[letter].set_title(f"({letter})  {words}", loc="left", y=1.0)
-            panels["a"].plot(value, largest, "o", ms=5, mfc="white", mec="black", zorder=5, clip_on=False)
-            box = {"fc": "white", "ec": "none", "pad": 0.5}
-            panels["a"].annotate(
-                letter, (value, largest), (-5, 6), textcoords="offset points", ha="right", bbox=box, zorder=6
-            )
-        figure.suptitle(_title(branch, title))
-        return style.finished(figure, panels.values(), 3, plain=True)
+    figure, panels = _panels(len(chosen), with_angles)
+    _draw_moduli(panels["a"], branch, diagram)
+    panels["a"].set_title("(a)", loc="left", y=1.0)
+    if diagram is not None and with_angles:
+        draw_angles(panels["b"], diagram)
+        panels["b"].set(xlim=panels["a"].get_xlim(), xlabel=panels["a"].get_xlabel())
+        panels["b"].set_title("(b)", loc="left", y=1.0)
+    for letter, ((value, passage), orbit) in zip("cde" if with_angles else "bcd", chosen.items(), strict=False):
+        draw_plane(panels[letter], orbit.floquet())
+        largest = orbit.floquet().max_abs_multiplier
+        words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {style.number(largest, 4)}$"
+        panels[letter].set_title(f"({letter})  {words}", loc="left", y=1.0)
+        panels["a"].plot(value, largest, "o", ms=5, mfc="white", mec="black", zorder=5, clip_on=False)
+        box = {"fc": "white", "ec": "none", "pad": 0.5}
+        panels["a"].annotate(
+            letter, (value, largest), (-5, 6), textcoords="offset points", ha="right", bbox=box, zorder=6
+        )
+    figure.suptitle(_title(branch, title))
+    return style.finished(figure, panels.values(), 3, plain=True)
 
 
 def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:

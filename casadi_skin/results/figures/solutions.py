@@ -29,7 +29,7 @@ ORBIT_SAMPLES = 2001  # of an orbit
 STATES_SHOWN = 6  # states drawn against time
 
 
-@in_turn
+@style.drawn
 def orbit_figure(solution: Solution, title: str = "") -> Figure:
     """States against time over the interval or the period and, of two or more, the plane of the first two.
 
@@ -44,20 +44,19 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
     """
     chosen, t, known = drawn_states(solution), times(solution), len(solution.space.state_names)
     names, x, plane = _names(solution, chosen), _states(solution, t, chosen), in_plane(solution, t)
-    with style.style():
-        figure = style.blank(5.0 if plane is None else 8.0, 3.6)
-        axes = figure.subplots(1, 1 if plane is None else 2, squeeze=False)[0]
-        style.draw_curves(axes[0], t, dict(zip(names, x.T, strict=True)), lw=1.4)
-        more = f" ({len(names)} of {known})" if known > len(names) else ""
-        axes[0].set(xlabel="t", ylabel=f"states{more}", xlim=(t[0], t[-1]))
-        if plane is not None:
-            points, labels = plane
-            axes[1].plot(*points.T, color="black", lw=1.4)
-            words = f"t = {t[0]:.4g}"
-            axes[1].plot(*points[0], "o", ms=5, mfc="white", mec="black", label=words)
-            axes[1].set(xlabel=labels[0], ylabel=labels[1])
-        figure.suptitle(orbit_title(solution, title))
-        return style.finished(figure, axes, STATES_SHOWN + 1, plain=True)
+    figure = style.blank(5.0 if plane is None else 8.0, 3.6)
+    axes = figure.subplots(1, 1 if plane is None else 2, squeeze=False)[0]
+    style.draw_curves(axes[0], t, dict(zip(names, x.T, strict=True)), lw=1.4)
+    more = f" ({len(names)} of {known})" if known > len(names) else ""
+    axes[0].set(xlabel="t", ylabel=f"states{more}", xlim=(t[0], t[-1]))
+    if plane is not None:
+        points, labels = plane
+        axes[1].plot(*points.T, color="black", lw=1.4)
+        words = f"t = {t[0]:.4g}"
+        axes[1].plot(*points[0], "o", ms=5, mfc="white", mec="black", label=words)
+        axes[1].set(xlabel=labels[0], ylabel=labels[1])
+    figure.suptitle(orbit_title(solution, title))
+    return style.finished(figure, axes, STATES_SHOWN + 1, plain=True)
 
 
 def drawn_states(solution: Solution) -> Indices:
@@ -116,6 +115,7 @@ MOST_SOLUTIONS = 6  # solutions that are drawn
 CHOSEN_ORBITS = 4  # orbits of a branch, by default
 
 
+@style.drawn
 def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tuple[int, int] = (0, 1)) -> Figure:
     """Orbits and equilibria in the plane of two states, and the first of these against time.
 
@@ -136,24 +136,23 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
     in_plane = len(names) > 1
     words, common = _words(solutions)
     longest = max((s.interval[1] for s in solutions), default=0.0) or 1.0
-    with style.style():
-        figure = style.blank(8.0 if in_plane else 5.0, 3.8)
-        axes = figure.subplots(1, 1 + in_plane, squeeze=False)[0]
-        for solution, colour, dashes, label in zip(
-            solutions, style.colours(len(solutions)), style.LINE_DASHES, words, strict=False
-        ):
-            at_rest = solution.space.connects == EQUILIBRIA
-            t = np.array([0.0, longest]) if at_rest else times(solution)
-            x = solution.evaluate(t)
-            axes[0].plot(t, x[:, states[0]], color=colour, ls=dashes, lw=1.4, label=label)
-            if in_plane:
-                look = {"marker": "o", "ms": 5, "mec": "black", "ls": "none"} if at_rest else {"ls": dashes, "lw": 1.4}
-                axes[1].plot(*x[:, list(states)].T, color=colour, label=label, **look)
-        axes[0].set(xlabel="t", ylabel=style.plain(names[states[0]]))
+    figure = style.blank(8.0 if in_plane else 5.0, 3.8)
+    axes = figure.subplots(1, 1 + in_plane, squeeze=False)[0]
+    for solution, colour, dashes, label in zip(
+        solutions, style.colours(len(solutions)), style.LINE_DASHES, words, strict=False
+    ):
+        at_rest = solution.space.connects == EQUILIBRIA
+        t = np.array([0.0, longest]) if at_rest else times(solution)
+        x = solution.evaluate(t)
+        axes[0].plot(t, x[:, states[0]], color=colour, ls=dashes, lw=1.4, label=label)
         if in_plane:
-            axes[1].set(xlabel=style.plain(names[states[0]]), ylabel=style.plain(names[states[1]]))
-        figure.suptitle(style.title(solutions[0].space.model, common, title))
-        return style.finished(figure, axes, 3, plain=True)
+            look = {"marker": "o", "ms": 5, "mec": "black", "ls": "none"} if at_rest else {"ls": dashes, "lw": 1.4}
+            axes[1].plot(*x[:, list(states)].T, color=colour, label=label, **look)
+    axes[0].set(xlabel="t", ylabel=style.plain(names[states[0]]))
+    if in_plane:
+        axes[1].set(xlabel=style.plain(names[states[0]]), ylabel=style.plain(names[states[1]]))
+    figure.suptitle(style.title(solutions[0].space.model, common, title))
+    return style.finished(figure, axes, 3, plain=True)
 
 
 def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib.resources import as_file, files
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.files import replacing
-from casadi_skin.model.result import TURN, in_turn
+from casadi_skin.model.result import TURN, P, T, in_turn
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -190,6 +190,11 @@ def style() -> Iterator[None]:
 
     with TURN, matplotlib.style.context(_settings(), after_reset=True):
         yield
+
+
+def drawn(draw: Callable[P, T]) -> Callable[P, T]:
+    """A function that makes a figure, for one thread at a time and in the settings of `style`."""
+    return in_turn(style()(draw))
 
 
 @cache
