@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,21 +67,6 @@ def killed(records: int, scene: Path, out: Path) -> int:
         f"from pathlib import *; from apart import ended; ended({signal.SIGKILL:d}, {records}, {scene!r}, {out!r})"
     )
     process.communicate()
-    return process.returncode
-
-
-def ended_from_outside(number: int, scene: Path, out: Path, size: int = 100_000) -> int:
-    """Exit status of a run in a process of its own that gets a signal when its journal has a size; it is printed."""
-    words = ["run", str(scene), "--out", str(out)]
-    process = program(f"from casadi_skin.runs.program import main\nraise SystemExit(main({words}))")
-    journal = out / "journal.msgpack"
-    while not journal.exists() or journal.stat().st_size < size:
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.01)
-    process.send_signal(number)
-    told, error = process.communicate(timeout=120.0)
-    print(told, end="")
-    print(error, end="", file=sys.stderr)
     return process.returncode
 
 

@@ -1,17 +1,14 @@
-"""Runs of scenes through the command line: files, resuming, interruption, families that end early."""
+"""Runs of scenes through the command line: files, resuming, limits of time, families that end early."""
 
 from __future__ import annotations
 
 import os
 import signal
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from apart import ended, ended_from_outside, killed
-from outputs import read_rows
-from scenes import Runs, chain, column, family
+from scenes import Runs, chain, family
 
 from casadi_skin.runs.directory import MADE_BY_RUN
 from casadi_skin.runs.program import main
@@ -117,41 +114,7 @@ def test_a_softening_orbit_that_cannot_exist_ends_with_a_reason(method: str, lim
     assert run.rows("family") == table
 
 
-# Interruption -------------------------------------------------------------------------------------------------------
-
-SHORT = chain(3) + family([1, 2, 3], at=[0.2, 0.5, 1.0])
-LONG = chain(100) + family([1, 2, 3, 4, 57, 58, 59, 60], 3.0, at=[0.5, 2.0, 3.0])
-
-
-@pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("number", [signal.SIGINT, *(pytest.param(n, marks=pytest.mark.slow) for n in (15, 9))])
-@pytest.mark.parametrize("text", [SHORT, pytest.param(LONG, marks=pytest.mark.slow)], ids=["short", "long"])
-def test_a_run_that_is_ended_keeps_its_points_and_resumes_to_the_same_result(
-    text: str, number: int, run: Runs, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene, out, whole, was_killed = run.scene, run.out, run.folder / "whole", number == signal.SIGKILL
-    scene.write_text(text + "[stability]\nevents = false\n", encoding="utf-8")
-    end = ended_from_outside if text == LONG else partial(ended, records=20)
-    status = (
-        killed(12, scene, out) if was_killed and text == SHORT else end(signal.Signals(number), scene=scene, out=out)
-    )
-    assert status == (-9 if was_killed else 130)
-    told = capsys.readouterr().err
-    assert "Traceback" not in told
-    assert ("--resume" in told) != was_killed
-    assert (out / "journal.msgpack").stat().st_size > 0
-    if was_killed:
-        with (out / "journal.msgpack").open("ab") as journal:
-            journal.write(b"\xff\x00\x00\x00 half a record")
-    else:
-        assert len(run.rows("family")) > 1
-    assert (out / "family.nc").exists() != was_killed
-    run("", "--resume", QUIET)
-    assert main(["run", str(scene), "--out", str(whole), QUIET]) == 0
-    assert len(run.rows("family")) == len(read_rows(whole / "family.csv"))
-    for name in ("mode", "S", "Omega"):
-        resumed, expected = (column(folder / "family.csv", name, requested="1") for folder in (out, whole))
-        np.testing.assert_allclose(resumed, expected, rtol=0, atol=1e-10)
+# Limits of time -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -47,9 +47,12 @@ from casadi_skin.model.result import Result
 from casadi_skin.optimise.search_problem import solve_start
 from casadi_skin.results.solutions import SAMPLES
 
-X, Y, MU = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+X, Y, Z, MU, NU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu", "nu"))
 HOPF = OdeModel(
     "Hopf", ca.vertcat(X, Y), ca.vertcat(MU * X - Y - X * (X**2 + Y**2), X + MU * Y - Y * (X**2 + Y**2)), MU
+)
+ADAPTX = OdeModel(
+    "adaptx", ca.vertcat(X, Y, Z), ca.vertcat(Y, Z, -MU * Z - NU * Y - X + X**2), ca.vertcat(MU, NU), nominal=(2.0, 1.0)
 )
 RING = Lattice(6, [Site("a", onsite="y + g*y^3")], [Bond("a", "a", (1,), "d")], "periodic", {"g": 1.0})
 SITE = Chain(1, 1.0, 0.25, 1.0)
@@ -78,14 +81,24 @@ def rest() -> Any:
 
 
 @functools.cache
+def diagram() -> Any:
+    """Equilibria with a Hopf point, and the cycles from there, whose period doubles."""
+    return find_equilibrium(ADAPTX, [0.0, 0.0, 0.0]).follow("mu", 0.6).follow_all(depth=1)
+
+
+def point_of(found: Any, kind: str) -> Any:
+    return next(point for point in found.special_points if point.kind == kind)
+
+
+@functools.cache
 def endless_family() -> Any:
     return follow_family(Chain(np.inf, 1.0, 0.7, 1.0), "last", 0.5, stability=True, tolerance=1e-6)
 
 
 def solution() -> Any:
-    line = OdeModel("line", ca.vertcat(X, Y), ca.vertcat(Y, -MU * X), MU)
-    problem = BoundaryValueProblem(line, [line.start(X), line.end(X) - 1], parameters={"mu": 1.0})
-    return problem.solve([0.0, 1.0], tolerance=1e-4)
+    line = OdeModel("line", ca.vertcat(X, Y), ca.vertcat(Y, -MU * X), ca.vertcat(MU, NU))
+    ends, values = [line.start(X), line.end(X) - 1], {"mu": 1.0, "nu": 1.0}
+    return BoundaryValueProblem(line, ends, interval=(0.0, NU), parameters=values).solve([0.0, 1.0], tolerance=1e-4)
 
 
 @functools.cache
@@ -139,9 +152,14 @@ def front() -> Any:
 MAKERS: dict[str, Callable[[], Any]] = {
     "Bands": lambda: bands(RING),
     "Branch": lambda: rest().follow("mu", 0.1),
+    "Branch of a family": lambda: follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.4, stability=True, events=False),
+    "Branch of a lattice": lambda: follow_family(RING, "last", 0.3),
+    "Branch of cycles": lambda: rest().follow("mu", 0.5).special_points[0].follow("mu", 0.3),
+    "Branch of Hopf points": lambda: point_of(diagram(), "hopf").curve("nu", 2.0),
+    "Branch of doublings": lambda: point_of(diagram(), "period doubling").curve("nu", 1.1, max_points=3),
     "Certificate": lambda: member().certify(),
     "Design": design,
-    "Diagram": lambda: rest().follow("mu", 0.1).follow_all(depth=1),
+    "Diagram": diagram,
     "FamilySeries": lambda: family().series(8),
     "EdgeCurve": lambda: softer().edge(1).curve("gamma", 0.26),
     "Equilibrium": rest,
@@ -167,12 +185,15 @@ MAKERS: dict[str, Callable[[], Any]] = {
 }
 LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as its bits
     "Branch": lambda branch: branch.special_points[0].follow("mu", 0.05, max_points=3).values,
-    "Diagram": lambda diagram: diagram.branches[0].solutions[-1].follow("mu", -0.1, max_points=3).values,
+    "Branch of a family": lambda branch: branch.at(S=0.3).floquet().multipliers,
+    "Branch of a lattice": lambda branch: branch.orbits[-1].follow("g", 1.2, max_points=3).values,
+    "Branch of cycles": lambda branch: branch.solutions[-1].follow("mu", 0.4, max_points=3).values,
+    "Diagram": lambda found: point_of(found, "period doubling").curve("nu", 1.1, max_points=3)["mu"],
     "Equilibrium": lambda equilibrium: equilibrium.follow("mu", 0.1).values,
     "Orbit": lambda orbit: orbit.follow("mu", 0.3, max_points=3).values,
     "SearchResult": search_goes_on,
     "SmallestKick": lambda found: found.orbit.floquet().multipliers,
-    "Solution": lambda found: found.follow("mu", 1.2, max_points=3).solutions[-1].point.z,
+    "Solution": lambda found: found.follow("nu", 1.2, max_points=3).solutions[-1].point.z,
     "SpecialPoint": lambda point: point.follow("mu", 0.05, max_points=3).values,
     "StabilityDiagram of an endless chain": lambda diagram: np.array([change.S for change in diagram.all]),
     "StabilityDiagram": lambda diagram: diagram.max_abs_multiplier(diagram.coordinates(50)),
