@@ -25,12 +25,13 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.zero.balanced import ComplexArray, balanced
 from casadi_skin.zero.kinds import BAUTIN, DOUBLING, FOLD, HOPF, HOPF_HOPF, ORBIT_CURVES, kind_of
 from casadi_skin.zero.linearised import Linearised, LinearisedEquations, LinearisedRest, Vector, bordered, null_vectors
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.rest import Statics
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import Closure
 
 DECIDED_SIGN_RATIO = 1e-8  # of the terms that a coefficient is the sum of: one that is smaller has no known sign
+VECTOR_ROUNDING = 16.0 * EPSILON  # of the largest entries of critical vectors, in all of theirs
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,7 @@ def critical(point: SpecialPoint) -> Critical:
         return Critical(vector, frequency)
     try:
         found = terms_of(kind, linear, v, adjoint) / unit
+        off = terms_of(kind, linear, rounded(v), rounded(adjoint)) / unit - found
     except (RuntimeError, NotImplementedError):  # a black box with first derivatives alone
         order = "second" if kind == FOLD else "higher"
         return Critical(vector, frequency, words=f"unknown: the model has no {order} derivatives")
@@ -63,9 +65,15 @@ def critical(point: SpecialPoint) -> Critical:
         return Critical(vector, frequency, words=f"unknown: {error}")
     value = float(np.sum(found))
     words = "quadratic" if kind == FOLD else "supercritical" if value < 0.0 else "subcritical"
-    if abs(value) <= DECIDED_SIGN_RATIO * float(np.sum(np.abs(found))):
+    if abs(value) <= float(np.sum(DECIDED_SIGN_RATIO * np.abs(found) + np.abs(off))):
         words = "degenerate"
     return Critical(vector, frequency, value, words)
+
+
+def rounded(v: Vector) -> Vector:
+    """A vector with as much of every component as rounding may leave: it is less where one is decoupled from it."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], v.size)
+    return np.asarray(v + VECTOR_ROUNDING * np.max(np.abs(v)) * signs)
 
 
 def _linearised(point: SpecialPoint) -> LinearisedEquations:

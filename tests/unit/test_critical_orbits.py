@@ -132,6 +132,20 @@ def test_normal_forms_of_period_doublings_and_tori_are_the_ones_written_down() -
     assert (torus.criticality, doubling.criticality) == ("subcritical", "subcritical")
 
 
+@pytest.mark.parametrize("coupling", [0.0, 0.5])
+def test_a_torus_of_a_pair_that_no_term_of_third_order_stops_is_degenerate(coupling: float) -> None:
+    """Beside r' = r (1 - r^2) the pair is linear: what its coefficient is comes from rounding of its Floquet vector."""
+    u, v, p, q, a = symbols("u v p q a")
+    grow, stop = a + coupling * u, 1.0 - u**2 - v**2
+    rhs = ca.vertcat(u * stop - 2.0 * v, v * stop + 2.0 * u, grow * p - 1.3 * q, 1.3 * p + grow * q)
+    model = OdeModel("pair", ca.vertcat(u, v, p, q), rhs, a)
+    orbit = find_orbit(model, lambda t: [*circle(2.0 * t)[:2], 0.0, 0.0], np.pi, parameters={"a": -0.3})
+    (torus,) = orbit.follow("a", 0.4, stability=True).special_points
+    assert torus.parameters["a"] == pytest.approx(0.0, abs=1e-9)
+    assert (torus.kind, torus.criticality) == ("torus", "degenerate")
+    assert abs(torus.coefficient) < 1e-100
+
+
 def test_each_of_two_pairs_on_the_circle_at_once_has_its_own_angle() -> None:
     """w_k' = (p + i omega_k) w_k - k w_k |w_k|^2 beside a circle, with v of mean square 1: d = -2 k."""
     x, p = ca.SX.sym("x", 6), ca.SX.sym("p")
