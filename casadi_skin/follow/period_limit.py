@@ -35,6 +35,10 @@ from casadi_skin.zero.settings import Point
 SMALLEST_REPORTED_RATIO = 1e-9  # of the orbit's extent: smaller components are reported as 0
 NEAREST_TO_LIMIT = 1e-9  # of the way that is followed: nearer to its limit the parameter does not separate orbits
 DISTANCE_SAFETY = 3.0  # between an estimated distance and the reported error
+ROUGH_PLACES = 101  # along a period at which it is looked at whether an orbit may be beside an equilibrium
+# Of the largest speed along the orbit, both means from place to place: twice `SLOW_SPEED_RATIO`, from which they differ
+# by a few per cent. Where branches end so it was 5e-4 and less.
+ROUGH_SPEED_RATIO = 2e-2
 LONGEST_STAY = 36.0  # times the time of growth by e: a longer stay is beyond doubles
 STAY_AGREEMENT_RTOL = 0.25  # of a stay: what it may differ from that of the linearised flow
 PARAMETER_ROUNDING = 100.0 * EPSILON  # of a parameter: its rounding at a saddle-node
@@ -58,6 +62,8 @@ def unbounded(space: SolutionSpace, before: Point, after: Point) -> Point | None
     rate = abs(float(after.tangent[index] / after.tangent[place]))
     allowed = max(space.tolerance, NEAREST_TO_LIMIT) * after.problem.parameter_size(after.z)
     if period <= space.interval(before)[1] or rate * period > LONGEST_STAY * DISTANCE_SAFETY * allowed:
+        return None
+    if Course.of(space, after, ROUGH_PLACES).slowest > ROUGH_SPEED_RATIO:
         return None
     walking = space.statement.model.parameter_names.index(space.parameter)
     way = abs(space.to - space.statement.values[space.parameter])

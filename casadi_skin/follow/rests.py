@@ -93,17 +93,24 @@ class Course:
     p: Array
 
     @classmethod
-    def of(cls, space: SolutionSpace, orbit: Point) -> Course:
-        """Of an orbit of a space, at even times and on the mesh."""
+    def of(cls, space: SolutionSpace, orbit: Point, places: int = PERIOD_PLACES) -> Course:
+        """Of an orbit of a space, at even times, their end among them, and on the mesh."""
         problem, periodic = stated(orbit.problem), space._orbit_of()
         fractions = periodic.symmetry.value * problem._fractions()
-        turn = np.unique(np.concatenate([np.linspace(0.0, 1.0, PERIOD_PLACES)[:-1], fractions[fractions < 1.0]]))
+        turn = np.unique(np.concatenate([np.linspace(0.0, 1.0, places)[:-1], fractions[fractions < 1.0]]))
         states = space.states_at(orbit, TWO_PI * turn, None)
         extent = np.ptp(states, axis=0)
         turned = TWO_PI * np.array(periodic.turns or np.zeros(extent.size))
         period = space.interval(orbit)[1]
         extent = np.maximum(extent, SAME_EQUILIBRIUM_DISTANCE * np.max(extent))
         return cls(period * turn, states, extent, turned, period, problem.parameters(orbit.z))
+
+    @property
+    def slowest(self) -> float:
+        """The least of the mean speeds from one place to the next by the largest of them."""
+        moved = np.diff(self.states, axis=0) / self.extent
+        speed = np.linalg.norm(moved, axis=1) / np.diff(self.times)
+        return float(np.min(speed) / np.max(speed))
 
     def longer(self) -> Course:
         """From a period before phase zero to two periods after it."""

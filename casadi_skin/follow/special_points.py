@@ -58,7 +58,9 @@ BESIDE_STILL = 0.05, 0.2, 0.5  # of a stretch, from a start that a branch leaves
 # without this, 27 with 0.03, 30 with 0.01, 31 with 0.003 and with 0; nine are found with none of these.
 HIDDEN_TURN_RATIO = 0.003
 GROWTH_ORDERS = 1.5  # change of the logarithm of a rate on a stretch from which it is looked at in place of the rate
-GROWTH_RATIO = 0.2  # of that change: how far it may be off a line at a sample
+# Of the change of the parameter: how far it may be off that by an exponential rate. Of 7,200 random dips with two folds
+# within such growth 45 % are not found so, as against 75 % by the rate at half the way, 20 % of its growth off or less.
+GROWTH_RATIO = 0.1
 FOLD_TOLERANCE = 1e-7  # of a step: the parameter is stationary there, so that it has twice the digits
 
 
@@ -123,6 +125,11 @@ class _Turns(Search):
     def rates(self, point: Point, here: Array) -> Array:
         return np.full(1, rate_change(self.solver, point))
 
+    def between(self, before: Point, after: Point, depth: int = 0) -> Iterator[Any]:
+        """As above; growth along canards is seen before a point between is sought, and slopes of rates."""
+        if not self._grows(before, after):
+            yield from super().between(before, after, depth)
+
     def passes(self, ends: SampledStretch) -> bool:
         return super().passes(ends) and not self._hides(ends)
 
@@ -131,19 +138,23 @@ class _Turns(Search):
         one, other = map(rate, ends)
         if max(abs(one), abs(other)) <= STILL_RATE:
             return []
-        if not (last or self._grows(stretch) or (np.all(stretch.isolates_roots) and not self._hides(stretch))):
+        if not (last or (np.all(stretch.isolates_roots) and not self._hides(stretch))):
             return None
         return [ends] if one * other < 0.0 else []
 
-    def _grows(self, stretch: SampledStretch) -> bool:
-        """Whether the rate grows like an exponential, as along canards, by its value at the sample."""
-        g = stretch.quantities[0][:, 0]
-        if self.moving is None or len(g) < 3 or not np.all(g * g[0] > 0.0):
+    def _grows(self, before: Point, after: Point) -> bool:
+        """Whether the rate grows like an exponential, as along canards, by the change of the parameter between.
+
+        That is the integral of the rate: of an exponential, the logarithmic mean of both ends times the length.
+        """
+        index = after.problem.parameter_index
+        one, other = (float(point.tangent[index] / (self.row @ point.tangent)) for point in (before, after))
+        if self.moving is None or not one * other > 0.0 or abs(growth := math.log(other / one)) <= GROWTH_ORDERS:
             return False
-        logarithms = np.log(np.abs(g))
-        growth, share = logarithms[-1] - logarithms[0], stretch.sigma[1] / stretch.length
-        off = logarithms[1] - logarithms[0] - share * growth
-        return bool(abs(growth) > GROWTH_ORDERS and abs(off) <= GROWTH_RATIO * abs(growth))
+        expected = (other - one) / growth * (self.sigma(after) - self.sigma(before))
+        off = abs(float(after.z[index] - before.z[index]) - expected)
+        off += sum(point.error.parameter * float(point.problem.parameter_size(point.z)) for point in (before, after))
+        return bool(off <= GROWTH_RATIO * abs(expected))
 
     def _hides(self, stretch: SampledStretch) -> bool:
         """Whether the parameter itself is off by as much as turns between the samples would make it.

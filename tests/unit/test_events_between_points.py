@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 from cycles_in_closed_form import Block, Truth
+from scipy.integrate import quad
 
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.events import Event, _Free, events_between
 from casadi_skin.follow.point import Joined
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch
 from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, ExponentSampler, beside_on_tangent
+from casadi_skin.follow.special_points import _Turns
 from casadi_skin.stability.result import FULL_TURN, Exponents
 from casadi_skin.zero.kinds import CROSSING_KINDS
 from casadi_skin.zero.settings import ErrorEstimate, Point
@@ -157,3 +159,24 @@ def test_a_real_multiplier_that_passes_zero_within_a_step_crosses_where_it_is_ou
     )
     (crossing,) = SampledStretch.of(samples).crossings(CROSSING_KINDS)
     assert (crossing.kind, crossing.angle, crossing.jump) == ("period doubling", np.pi, int(way))
+
+
+@pytest.mark.parametrize("growth", [-3.0, 2.0])
+@pytest.mark.parametrize("place", [0.3, 0.5, 0.7])
+def test_two_folds_on_a_stretch_are_no_growth_along_a_canard(growth: float, place: float) -> None:
+    """The parameter is the integral of its rate, which is exponential, but for a dip below zero."""
+    problem: Any = SimpleNamespace(parameter_index=1, parameter_size=lambda z: 1.0)
+    search: Any = SimpleNamespace(moving=problem, row=np.array([1.0, 0.0]), sigma=lambda point: point.z[0])
+
+    def grows(dip: float, error: float = 0.0) -> bool:
+        def rate(s: float) -> float:
+            return float(1e-6 * np.exp(growth * s) * (1.0 - dip * np.exp(-(((s - place) / 0.15) ** 2))))
+
+        estimate = ErrorEstimate(0.0, 0.0, parameter=error)
+        places = ((0.0, 0.0), (1.0, quad(rate, 0.0, 1.0, epsabs=0.0)[0]))
+        ends = (Point(problem, np.array(z), np.array([1.0, rate(z[0])]), estimate, 1.0, 0) for z in places)
+        return _Turns._grows(search, *ends)
+
+    assert grows(0.0)
+    assert not grows(1.2)
+    assert not grows(0.0, 1e-6)  # where errors of the parameter hide it
