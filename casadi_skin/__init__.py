@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from casadi_skin.model.saved import save_model as save_model
     from casadi_skin.optimise.designs import find_design as find_design
     from casadi_skin.optimise.designs import pareto_front as pareto_front
+    from casadi_skin.optimise.fit import fit_parameters as fit_parameters
     from casadi_skin.optimise.kick import smallest_kick as smallest_kick
     from casadi_skin.optimise.search import search_orbit as search_orbit
     from casadi_skin.results.saving import read_result as read_result
@@ -55,6 +56,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "model.ode": ("OdeModel",),
     "model.saved": ("read_model", "save_model"),
     "optimise.designs": ("find_design", "pareto_front"),
+    "optimise.fit": ("fit_parameters",),
     "optimise.kick": ("smallest_kick",),
     "optimise.search": ("search_orbit",),
     "results.saving": ("read_result", "save_result"),

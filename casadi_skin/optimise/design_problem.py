@@ -115,9 +115,17 @@ class DesignProblem:
 
     @cached_property
     def things(self) -> tuple[LocatedThing, ...]:
-        """The located solutions at the start; raises ArithmeticError."""
-        both = zip(self.starts, self.expressions, strict=True)
-        return tuple(start.located(expressions, self.over) for start, expressions in both)
+        """The located solutions at the start, those of other parameters moved there; raises ArithmeticError."""
+        at, found = dict(zip(self.named, self.values, strict=True)), list[LocatedThing]()
+        for start, expressions in zip(self.starts, self.expressions, strict=True):
+            thing, free = start.located(expressions, self.over), start.free
+            if any(name in free and free[name].value != value for name, value in at.items()):
+                near = thing.near(dict(zip(self.over, np.repeat(self.values, self.counts).tolist(), strict=True)))
+                if near is None:
+                    raise ArithmeticError(f"{short_repr(thing.solution)} is not located at the parameters of the first")
+                thing = near
+            found.append(thing)
+        return tuple(found)
 
     def places(self, count: int, seed: int) -> list[Array]:
         """Free numbers of starts: the own ones, then a Halton sequence."""

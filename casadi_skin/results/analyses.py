@@ -13,6 +13,7 @@ from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.lattice.linear import Bands, LatticeModes
 from casadi_skin.model.arguments import with_error
 from casadi_skin.optimise.designs import Design, ParetoFront
+from casadi_skin.optimise.fit import Fit
 from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.optimise.search import SearchResult
 from casadi_skin.optimise.search_problem import Optimum
@@ -277,6 +278,22 @@ def _(result: Gradient) -> words.Shown:
 
     table = {"parameter": names, "derivative": slopes, "error": errors}
     return words.Shown(f"Gradient of {result.of}", rows, draw, "derivatives by parameters", lambda: table)
+
+
+@words.show.register
+def _(result: Fit) -> words.Shown:
+    names, values, deviations = zip(*result.measured, strict=True)
+    rows = [(name, with_error(value, result.deviations[name])) for name, value in result.values.items()]
+    rows += [("chi square", f"{result.chi_square:.4g} of {len(names)} residuals"), ("end", result.reason)]
+    numbers = np.arange(1, len(names) + 1)
+
+    def draw(axes: Axes) -> None:
+        axes.plot(numbers, result.residuals, "o", color="black", ms=4)
+        axes.axhspan(-1.0, 1.0, color="0.9", zorder=0)
+        axes.set(xlabel="measured quantity", ylabel="located minus measured, over the deviation", xticks=numbers)
+
+    table = {"quantity": list(names), "measured": values, "deviation": deviations, "residual": result.residuals}
+    return words.Shown("Fit", rows, draw, "residuals of a fit", lambda: table)
 
 
 # Lattices: spreading of energy, linear modes, bands -------------------------------------------------------------------

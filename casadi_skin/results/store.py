@@ -57,6 +57,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "lattice.lattice": "LongLattice",
     "model.conserved": "SymmetryClass",
     "optimise.designs": "Design ParetoFront",
+    "optimise.fit": "Fit",
     "optimise.kick": "SmallestKick",
     "optimise.kick_nlp": "KickOptimum",
     "optimise.nlp": "Kkt NlpSolution=Solution",

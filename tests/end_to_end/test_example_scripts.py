@@ -43,6 +43,16 @@ def test_gradients(run: Run) -> None:
     assert gradient.spread({"sigma": 0.5, "beta": 0.1}) == pytest.approx(np.std(places), rel=0.05)
 
 
+def test_fit_of_a_neuron(run: Run) -> None:
+    """The planted parameters within three deviations, of all together too."""
+    module, fit = load("fit_neuron"), run("fit_neuron")
+    assert fit.found
+    off = np.array([(fit[name] - value) / fit.deviations[name] for name, value in module.planted.items()])
+    assert np.max(np.abs(off)) < 3.0
+    assert off @ np.linalg.solve(fit.correlation, off) < 14.2  # 99.7 per cent of chi square of three
+    assert [point.kind for point in fit.located] == ["hopf", "hopf", "fold", "fold"]
+
+
 def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.ndarray:
     """Perturbations (2N, columns) after `time`: Eq. 1 and its linearisation, written out here, by Dormand-Prince."""
     chain = orbit.model
