@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.ipopt import SOLVED_STATUS, IterationCallback, Monitor, nlp_solver
+from casadi_skin.solve.ipopt import IterationCallback, Monitor, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
 STOPPED_STATUS = "User_Requested_Stop"
@@ -43,13 +43,12 @@ Stated = tuple[Any, Any, Any]  # numbers with their lower and upper bounds
 
 
 class Nlp:
-    """Minimise f(x, p), or maximise it, subject to equations, bounds of unknowns, and conditions; p has fixed `values`.
+    """Minimise f(x), or maximise it, subject to equations, bounds of unknowns, and conditions.
 
     Arguments:
         x, f, equations: symbol, scalar, and the column that vanishes.
         bounds: by name, places among the unknowns with lower and upper bounds; those of no name, "", are given no word.
         conditions: by name, a column with its lower and upper bounds. Their rows of g follow those of the equations.
-        p, values: further numbers, as symbols and as values.
         jacobian: dg/dx where that is known.
         maximise: whether f is maximised.
         exact: whether second derivatives are used; Ipopt approximates them elsewhere.
@@ -60,15 +59,14 @@ class Nlp:
 
     def __init__(
         self, x: Expression, f: Expression, equations: Expression, bounds: Mapping[str, Stated],
-        conditions: Mapping[str, Stated] = MappingProxyType({}), *, p: Expression | None = None,
-        values: Sequence[float] | Array = (), jacobian: Expression | None = None, maximise: bool = False,
-        exact: bool = True, options: Mapping[str, Any], place: Expression | None = None, measured: Sequence[int] = (),
+        conditions: Mapping[str, Stated] = MappingProxyType({}), *, jacobian: Expression | None = None,
+        maximise: bool = False, exact: bool = True, options: Mapping[str, Any], place: Expression | None = None,
+        measured: Sequence[int] = (),
     ) -> None:  # fmt: skip
         self.exact, self.options, self.sign = exact, options, -1.0 if maximise else 1.0
-        self._x, self._f, self._stated = x, self.sign * f, (equations, bounds, conditions)
+        self._x, self._f, self._p = x, self.sign * f, type(x).sym("p", 0)  # none, which Ipopt's functions take
         self._g = ca.densify(ca.vertcat(equations, *(column for column, _, _ in conditions.values())))
-        self._p = type(x).sym("p", 0) if p is None else p
-        self.p, self.place, self.measured = np.array(values, dtype=float), place, np.array(measured, dtype=int)
+        self.place, self.measured = place, np.array(measured, dtype=int)
         self._given_jacobian = jacobian
         self._solvers: dict[bool, tuple[ca.Function, IterationCallback]] = {}
         self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
@@ -111,19 +109,19 @@ class Nlp:
 
     def residual(self, x: Array) -> Array:
         """Constraints at x, shape (rows,)."""
-        return np.array(self._constraints(x, self.p)[0]).ravel()
+        return np.array(self._constraints(x, [])[0]).ravel()
 
     def jacobian(self, x: Array) -> Any:
         """Derivative of `residual`, a sparse matrix of scipy in columns."""
-        return self._constraints(x, self.p)[1].sparse().tocsc()
+        return self._constraints(x, [])[1].sparse().tocsc()
 
     def gradient(self, x: Array) -> Array:
         """Derivative of the objective of Ipopt, shape (size,)."""
-        return np.array(self._gradient(x, self.p)[1]).ravel()
+        return np.array(self._gradient(x, [])[1]).ravel()
 
     def hessian(self, x: Array, lam_g: Array) -> Any:
         """Second derivative of the Lagrangian, a sparse matrix of scipy in columns."""
-        return ca.triu2symm(self._hessian(x, self.p, 1.0, lam_g)).sparse().tocsc()
+        return ca.triu2symm(self._hessian(x, [], 1.0, lam_g)).sparse().tocsc()
 
     def violations(self, g: Array) -> Array:
         """Distance of each constraint, of values g, from its bounds, shape (rows,)."""
@@ -172,7 +170,7 @@ class Nlp:
             callback.begin(self.low, self.high, monitor and (lambda i, f, v: monitor(i, self.shown(f), v)))
             start = np.clip(x, self.lower, self.upper)
             bounds = {"lbx": self.lower, "ubx": self.upper, "lbg": self.low, "ubg": self.high}
-            result = solver(x0=start, p=self.p, **bounds)
+            result = solver(x0=start, **bounds)
         if callback.failure is not None and not isinstance(callback.failure, KeyboardInterrupt):
             raise callback.failure
         stats = solver.stats()
@@ -183,35 +181,13 @@ class Nlp:
     def _built(self, more: Mapping[str, Any]) -> tuple[ca.Function, IterationCallback]:
         """Ipopt with bounds that are not relaxed, and its callback."""
         parts = {"x": self._x, "p": self._p, "f": self._f, "g": self._g}
-        callback = IterationCallback(self.size, self._g.numel(), self._p.numel())
+        callback = IterationCallback(self.size, self._g.numel(), 0)
         options = {
             "ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0, "jac_g": self._constraints,
             "iteration_callback": callback, **self.options, **more,
         }  # fmt: skip
         options |= {"hess_lag": self._hessian} if self.exact else {"ipopt.hessian_approximation": "limited-memory"}
         return nlp_solver("search", parts, IPOPT_TOLERANCE, options, exact=False), callback
-
-    def nearest(self, x: Array) -> Solution | None:
-        """The orbit, found from x, that misses the conditions least; None where there is none, or no condition."""
-        rows, n = self.condition_rows, self.size
-        if rows.size == 0:
-            return None
-        elastic = self._elastic.solve(np.append(x, np.clip(self.residual(x), self.low, self.high)[rows]))
-        if elastic.words != SOLVED_STATUS:
-            return None
-        value = self.shown(float(self._gradient(elastic.x[:n], self.p)[0]))
-        return Solution(elastic.x[:n], np.zeros(self.low.size), np.zeros(n), value, "nearest", elastic.iterations)
-
-    @cached_property
-    def _elastic(self) -> Nlp:
-        """Least sum of squares of the conditions' residuals, on orbits that satisfy their equations."""
-        (equations, bounds, _), n, rows = self._stated, self.size, self.condition_rows
-        z = type(self._x).sym("z", n + rows.size)
-        g, equations = (ca.substitute(column, self._x, z[:n]) for column in (self._g[rows.tolist()], equations))
-        bounds = {**bounds, "met": (np.arange(n, n + rows.size), self.low[rows], self.high[rows])}
-        options = {**self.options, "ipopt.tol": 1e-9}
-        objective = ca.sumsqr(g - z[n:])
-        return Nlp(z, objective, equations, bounds, p=self._p, values=self.p, exact=self.exact, options=options)
 
 
 # Whether a point is a local optimum: conditions of first and second order, from multipliers and exact derivatives -----

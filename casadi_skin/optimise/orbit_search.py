@@ -135,18 +135,6 @@ class OrbitSearch:
     # The statement ----------------------------------------------------------------------------------------------------
 
     @property
-    def free_names(self) -> tuple[str, ...]:
-        return self.free
-
-    @property
-    def wanted(self) -> str:
-        return "near the guess"
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return (PERIOD, *self.model.parameter_names)
-
-    @property
     def hint(self) -> str:
         ratio, words = _units(self.model.state_names, self.states)
         return f"units are uneven, {words}: try others" if ratio > UNEVEN_UNIT_RATIO else ""

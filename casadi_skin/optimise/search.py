@@ -25,7 +25,6 @@ from casadi_skin.optimise.search_problem import (
     Outcome,
     Start,
     lost_start,
-    nearest,
     solve_start,
 )
 from casadi_skin.solve.processes import Report, Runner
@@ -57,8 +56,7 @@ class SearchResult(Result):
         status, reason: how the search ended; `reason` is a sentence.
         optima: distinct optima.
         outcomes: one a start done.
-        nearest: where there is no optimum, the outcome that comes nearest; of an infeasible search the orbit that
-            misses the constraints least.
+        nearest: where there is no optimum, the outcome that misses the constraints least.
         seconds: wall-clock time.
         engine: how optima were found.
     """
@@ -94,7 +92,6 @@ class SearchResult(Result):
 
 
 SAME_OPTIMUM_RTOL = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
-NEAREST_STARTS = 4  # starts of the search for the orbit nearest to the constraints
 
 
 def search(
@@ -134,8 +131,9 @@ def search(
                 optima.append(optimum)
             else:  # optima that differed on coarse discretisations
                 optima[same] = replace(optima[same], starts=(*optima[same].starts, *optimum.starts))
-        near = None if optima else _nearest(problem, outcomes)
     gone = f"interrupted after {len(outcomes)} of {len(starts)} starts" if runner.interrupted else ""
+    tried = [outcome for outcome in outcomes if outcome.solution is not None and not optima]
+    near = min(tried, key=lambda outcome: (max(outcome.gap, FEASIBLE_VIOLATION), outcome.objective), default=None)
     verdict = _verdict(problem, outcomes, optima, near, polished.count(None), gone)
     return SearchResult(problem, *verdict, tuple(optima), tuple(outcomes), near, time.perf_counter() - began)
 
@@ -147,18 +145,6 @@ def _check_pickled(problem: OrbitSearch) -> None:
         accepted = "names, or functions at the top of a module, where starts run in other processes"
         words = f"cannot be sent to a process ({' '.join(str(error).split())[:120]})"
         raise TypeError(f"objective and constraints: {words}; accepted: {accepted}") from None
-
-
-def _nearest(problem: OrbitSearch, outcomes: Sequence[Outcome]) -> Outcome | None:
-    """The orbit that misses the conditions least, from a few starts; else the nearest outcome."""
-    tried = [o for o in outcomes if o.solution is not None]
-    missed = [o for o in tried if o.ending in (Ending.INFEASIBLE, Ending.FAILED) and not o.feasible]
-    found = list[Outcome | None]()
-    if any(o.ending is Ending.INFEASIBLE for o in missed):
-        found = [nearest(problem, outcome.start) for outcome in missed[:NEAREST_STARTS]]
-    chosen = [outcome for outcome in found if outcome is not None] or tried
-    sign = -1.0 if problem.maximise else 1.0
-    return min(chosen, key=lambda o: (max(o.gap, FEASIBLE_VIOLATION), sign * o.objective), default=None)
 
 
 def _verdict(
@@ -181,10 +167,10 @@ def _verdict(
         return SearchStatus.FOUND, f"found an optimum inside its bounds; {words}"
     if gone:
         k = int(np.argmax(np.abs(gone[0].free)))  # the free number that ran off the farthest
-        words = f"{problem.free_names[k]} = {gone[0].free[k]:.3g}, objective {gone[0].objective:.3g}"
+        words = f"{problem.free[k]} = {gone[0].free[k]:.3g}, objective {gone[0].objective:.3g}"
         return SearchStatus.UNBOUNDED, f"{len(gone)} of {count} starts ran off without bound: {words}"
     if near is not None and near.ending is Ending.INFEASIBLE:
-        words = f"{near.worst} is off by {near.gap:.3g} at the nearest orbit found"
+        words = f"{near.worst} is off by {near.gap:.3g} where the nearest start ended"
         return SearchStatus.INFEASIBLE, f"no start met the constraints; {words}"
     words = f"no start converged; the first: {outcomes[0].words if outcomes else 'there was no start'}"
     if unconfirmed:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from typing import Any, Protocol
@@ -125,16 +125,6 @@ def solve_start(problem: Startable, start: Start, monitor: Monitor | None = None
     except ArithmeticError as error:
         return Outcome(start, Ending.NO_ORBIT, " ".join(str(error).split()))
     return judged(nlp, start, nlp.solve(x, monitor))
-
-
-def nearest(problem: Startable, start: Start) -> Outcome | None:
-    """The orbit that misses the conditions least, found from a start; None where none is found."""
-    try:
-        nlp, x = problem.nlp_at(start)
-    except ArithmeticError:
-        return None
-    solution = nlp.nearest(x)
-    return None if solution is None else replace(judged(nlp, start, solution), ending=Ending.INFEASIBLE)
 
 
 def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
