@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import casadi as ca
@@ -26,7 +27,7 @@ from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.problem import EPSILON, Array
 
 ENGINE = "SLSQP on gradients of located solutions"
-MOST_ITERATIONS = 300  # of SLSQP
+MOST_ITERATIONS = 1000  # of SLSQP
 # Of the scaled objective, at which SLSQP ends; it starts again where that is no optimum yet. Near one it wanders.
 ACCURACIES = (1e-10, 1e-12, 1e-14, 1e-16)
 OPTIMAL, SOUGHT = 1e-7, 2e-8  # of the largest scaled gradient: what an optimum may leave, and what is sought
@@ -216,25 +217,16 @@ class Search:
             check_time_limit(f"design {len(self.path) + 1}")
             ahead = min(1.0, done + share)
             to = p if ahead == 1.0 else start + ahead * (p - start)
-            near = self._near(things, dict(zip(self.problem.over, to.tolist(), strict=True)))
-            if near is None:
-                share *= 0.5
-                if share < SHORTEST_SHARE:
-                    return False
-            else:
+            values = dict(zip(self.problem.over, to.tolist(), strict=True))
+            near: Any = tuple(takewhile(lambda thing: thing is not None, (thing.near(values) for thing in things)))
+            if len(near) == len(things):
                 done, share, things = ahead, 2.0 * share, near
+                continue
+            share *= 0.5
+            if share < SHORTEST_SHARE:
+                return False
         self.things, self.at = things, p
         return True
-
-    @staticmethod
-    def _near(things: Sequence[LocatedThing], values: Mapping[str, float]) -> tuple[LocatedThing, ...] | None:
-        found = list[LocatedThing]()
-        for thing in things:
-            near = thing.near(values)
-            if near is None:
-                return None
-            found.append(near)
-        return tuple(found)
 
     def rows(self, p: Array) -> Rows | None:
         """Objective and constraints at p; None where not everything is located there."""
@@ -245,10 +237,8 @@ class Search:
         found = rows, slopes = self.problem.evaluated(self.things)
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(slopes))):
             return None
-        self._last, self.size = (
-            (p.copy(), found),
-            max(self.size, float(np.max(np.abs(slopes[0] * self.problem.scales)))),
-        )
+        self.size = max(self.size, float(np.max(np.abs(slopes[0] * self.problem.scales))))
+        self._last = p.copy(), found
         self.path.append(p.copy())
         self.values.append(float(rows[0]))
         if self.progress is not None:
@@ -262,7 +252,7 @@ class Search:
             return None
         while True:
             p, words = self._solved(p)
-            conditions, finer = self.conditions(p), [thing.finer() for thing in self.things]
+            conditions, finer = self.conditions(p), [thing.finer for thing in self.things]
             error, slope_error = self._errors(conditions)
             if error <= tolerance * max(1.0, abs(self._last[1][0][0])) or all(thing is None for thing in finer):
                 return self._design(p, conditions, (error, slope_error), words)
@@ -276,8 +266,10 @@ class Search:
     def _solved(self, p: Array) -> tuple[Array, str]:
         """The best end of SLSQP, which starts again while that is no optimum; its last words."""
         ends = list[tuple[bool, float, Array, str]]()
+        if not self.size:  # the gradient vanishes at the start: its size is that where constraints are met nearby
+            self._on_constraints(p)
         for accuracy in ACCURACIES:
-            p, words = self._run(p, self._objective, accuracy, constrained=True)
+            p, words = self._run(p, accuracy)
             p = self._on_constraints(p)
             conditions = self.conditions(p)
             ends.append((conditions.violation > FEASIBLE, conditions.optimality, p, words))
@@ -285,38 +277,28 @@ class Search:
                 break
         violated, _, p, words = min(ends, key=lambda end: end[:2])
         if violated:
-            p, _ = self._run(p, self._violation, ACCURACIES[-1], constrained=False)
+            p, _ = self._run(p, ACCURACIES[-1], constrained=False)
         self.rows(p)
         return p, words
 
     def _on_constraints(self, p: Array) -> Array:
-        """The design nearby where active constraints hold to rounding, which SLSQP leaves earlier."""
+        """The design nearby where active and violated constraints hold, to rounding where they nearly do."""
         for _ in range(RESTORING_STEPS):
-            held = [bound for bound, weight in self.conditions(p).bounds if bound.row and weight > 0.0]
+            held = [b for b, weight in self.conditions(p).bounds if b.row and (weight > 0.0 or b.gap < 0.0)]
             if any(bound.gap for bound in held):
                 step = np.linalg.lstsq(np.array([b.normal for b in held]), -np.array([b.gap for b in held]))[0]
                 moved = np.clip(p + step * self.problem.scales, *self.problem.ends)
                 p = moved if self.rows(moved) is not None else p
         return p
 
-    def _objective(self, found: Rows, first: Rows) -> tuple[float, Array]:
-        factor = self.sign / (self.size or 1.0)
-        return factor * float(found[0][0] - first[0][0]), factor * found[1][0]
-
-    def _violation(self, found: Rows, first: Rows) -> tuple[float, Array]:
-        """Half the sum of squares of what constraints are off by."""
-        lower, upper = (np.array([row[k] for row in self.problem.rows]) for k in (1, 2))
-        off = np.maximum(found[0][1:] - upper, 0.0) - np.maximum(lower - found[0][1:], 0.0)
-        return 0.5 * float(off @ off), off @ found[1][1:]
-
-    def _run(
-        self, p: Array, objective: Callable[[Rows, Rows], tuple[float, Array]], accuracy: float, constrained: bool
-    ) -> tuple[Array, str]:
+    def _run(self, p: Array, accuracy: float, constrained: bool = True) -> tuple[Array, str]:
+        """Where SLSQP ends, with its last words; without constraints half the sum of squares of these is least."""
         from scipy.optimize import minimize
 
         scales, (low, high), first = self.problem.scales, self.problem.ends, self.rows(p)
         assert first is not None
-        last = first
+        last, factor, offset = first, self.sign / (self.size or 1.0), first[0][0]
+        lows, highs = (np.array([row[k] for row in self.problem.rows]) for k in (1, 2))
 
         def at(x: Array) -> tuple[Rows, bool]:
             """The rows at x, those of the last design where it is not located."""
@@ -326,9 +308,11 @@ class Search:
             return last, found is not None
 
         def value(x: Array) -> Any:
-            found, there = at(x)
-            f, slopes = objective(found, first)
-            return f if there else FAR_WORSE, slopes * scales
+            (rows, slopes), there = at(x)
+            if constrained:
+                return factor * (rows[0] - offset) if there else FAR_WORSE, factor * slopes[0] * scales
+            off = np.maximum(rows[1:] - highs, 0.0) - np.maximum(lows - rows[1:], 0.0)
+            return 0.5 * (off @ off) if there else FAR_WORSE, off @ slopes[1:] * scales
 
         constraints = list[dict[str, Any]]()
         for row, (_, lower, upper) in enumerate(self.problem.rows if constrained else (), start=1):
@@ -366,7 +350,7 @@ class Search:
             if gap / height > violation:
                 violation, worst = gap / height, f"{name} is off by {gap:.3g}"
             for end, side, sign in ((lower, 1.0, ">="), (upper, -1.0, "<=")):
-                if abs(rows[row] - end) <= NEAR_BOUND * height:
+                if side * (rows[row] - end) <= NEAR_BOUND * height:
                     words = f"{name} {'=' if lower == upper else sign} {end:.10g}"
                     active.append(Bound(words, side * slopes[row], row, side * (rows[row] - end), side))
         left, weights = self.sign * slopes[0], np.zeros(len(active))
@@ -382,9 +366,8 @@ class Search:
         """Estimated errors of the value, also by what the constraints are off by, and of the optimality."""
         rows, slopes = self.problem.errors(self.things)
         held = sum(weight * (rows[bound.row] + abs(bound.gap)) for bound, weight in conditions.bounds if bound.row)
-        return float(rows[0] + held + EPSILON * abs(self.values[-1])), float(
-            np.max(slopes[0] * self.problem.scales)
-        ) / (self.size or 1.0)
+        left = float(np.max(slopes[0] * self.problem.scales)) / (self.size or 1.0)
+        return float(rows[0] + held + EPSILON * abs(self.values[-1])), left
 
     def _design(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
         problem, multipliers = self.problem, dict[str, float]()

@@ -224,10 +224,9 @@ class FamilyStart:
     def located(self, expressions: FamilyExpressions, over: Sequence[str]) -> FamilyOrbit:
         """The orbit with its derivatives; raises ArithmeticError."""
         orbit, equations = self.orbit(), expressions.equations
-        chain = isinstance(self.model, Chain)
-        numbers = np.array(
-            [self.parameters["alpha" if chain and "_" in name else name] for name in equations.parameters]
-        )
+        stiffness = "alpha_" if isinstance(self.model, Chain) else "no name"
+        names = ("alpha" if name.startswith(stiffness) else name for name in equations.parameters)
+        numbers = np.array([self.parameters[name] for name in names])
         harmonics = next((h for h in HARMONICS_OFFERED if h >= orbit.harmonics), HARMONICS_OFFERED[-1])
         return FamilyOrbit.on(expressions, numbers, harmonics, orbit, tuple(over))
 
@@ -258,9 +257,9 @@ class FamilyExpressions:
         participation: (sum of y_n^2)^2 / sum of y_n^4 at that phase, from 1 to N.
         y0: displacements at that phase, shape (components, 1).
 
-    Parameters and outputs of the model, of a chain `names.NAMED` and `alpha_n`, shape (sites, 1), are attributes as
-    well. `slope(expression)` is its derivative by S along the family at fixed parameters, and the quantity NAME_slope
-    that of NAME.
+    Parameters and outputs of the model are attributes as well, of a chain `alpha_n`, shape (sites, 1), and those of
+    its band. `slope(expression)` is its derivative by S along the family at fixed parameters, and NAME_slope that of a
+    quantity.
     """
 
     def __init__(self, equations: FamilyEquations) -> None:
@@ -370,20 +369,17 @@ class FamilyOrbit:
         return cls(expressions, corrector, problem, correction.z, over)
 
     @cached_property
-    def _finer(self) -> FamilyOrbit | None:
+    def finer(self) -> FamilyOrbit | None:
+        """The same on more harmonics; None where there are no more."""
         harmonics = next((h for h in HARMONICS_OFFERED if h > self.problem.resolution), None)
         if harmonics is None:
             return None
         return self.on(self.expressions, self.problem.numbers, harmonics, self.solution, self.over)
 
-    def finer(self) -> FamilyOrbit | None:
-        """The same on more harmonics; None where there are no more."""
-        return self._finer
-
     @property
     def errors(self) -> tuple[Array, Array]:
         """Estimated errors of `numbers` and `derivatives`: twice what more harmonics change."""
-        other = self._finer or self
+        other = self.finer or self
         return 2.0 * np.abs(self.numbers - other.numbers), 2.0 * np.abs(self.derivatives - other.derivatives)
 
     def near(self, values: Mapping[str, float]) -> Self | None:
@@ -429,10 +425,12 @@ class FamilyOrbit:
     def _ways(self) -> Array:
         """Derivatives of (z, p) by what designs change, shape (numbers, size + parameters)."""
         size, found = self.z.size, np.zeros((len(self._rows), self._tangent.size))
+        if not len(found):
+            return found
         for way, place in zip(found, self._rows.values(), strict=True):
             way[size - 1 + place] = 1.0  # S is the last unknown
         moved = self._forms(found[0], found)[0]
-        found[:, :size] = -self._solve(np.vstack([moved.T, np.zeros(len(found))])).T if len(found) else 0.0
+        found[:, :size] = -self._solve(np.vstack([moved.T, np.zeros(len(found))])).T
         if "S" in self._rows:
             found[list(self._rows).index("S")] = self._tangent
         return found
@@ -459,10 +457,7 @@ class FamilyOrbit:
         given = [np.tile(Q[0], (m, 1)), self._place, np.tile(U[0], (m, 1)), u[n + 1 :], V.reshape(m * H, -1),
                  np.repeat(ways[:, n + 1 :], H, axis=0)]  # fmt: skip
         f, Du, Dv, both = (r.reshape(m, H, -1).swapaxes(1, 2).reshape(m, -1) for r in force(*given))
-        given[::2], given[5] = (
-            [problem.at_zero @ rows for rows in (Q[0], U[0])] + [problem.at_zero @ V],
-            ways[:, n + 1 :],
-        )
+        given[::2], given[5] = [problem.at_zero @ rows for rows in (Q[0], U[0], V)], ways[:, n + 1 :]
         norms, u_Omega, v_Omega = norm(*given), u[n], ways[:, n, None]
         both = -both / Omega**2 + 2 * (Du * v_Omega + Dv * u_Omega) / Omega**3 - 6 * f * u_Omega * v_Omega / Omega**4
         return np.hstack([-Dv / Omega**2, norms[2][:, None]]), np.hstack([both, norms[3][:, None]])
@@ -494,7 +489,6 @@ class FamilyOrbit:
         problem, (S, *numbers) = self.problem, self._place
         values = self.z[: problem.states].reshape(-1, problem.resolution)
         scale = self.expressions.equations.scale(S, np.array(numbers))[:, None]
-        model = self.expressions.equations.at(
-            dict(zip(self.expressions.equations.parameters, map(float, numbers), strict=True))
-        )
+        own = self.expressions.equations
+        model = own.at(dict(zip(own.parameters, map(float, numbers), strict=True)))
         return CosineOrbit.at_nodes(model, float(S), float(self.z[problem.Omega_index]), values * scale)

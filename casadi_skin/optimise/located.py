@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import casadi as ca
 import numpy as np
@@ -51,6 +51,7 @@ class LocatedThing(Protocol):
     def near(self, values: Mapping[str, float]) -> Self | None:
         """The same at other values of these parameters; None where it is too far for Newton's method."""
 
+    @property
     def finer(self) -> Self | None:
         """On a finer discretisation; None where it is on one that meets its own tolerance."""
 
@@ -135,8 +136,7 @@ class LocatedSolution:
         sizes = [abs(known[name].value) if name in known else 0.0 for name in self.expressions.names]
         return relative * np.array(sizes), self._table(errors=True)
 
-    def finer(self) -> None:
-        return None
+    finer: ClassVar[None] = None
 
     def near(self, values: Mapping[str, float]) -> Self | None:
         solution, own = self.solution, {n: v for n, v in values.items() if n in self.values}

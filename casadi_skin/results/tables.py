@@ -285,7 +285,7 @@ def design_row(design: Design, rank: int) -> dict[str, Cell]:
 
 
 def write_design(design: Design, directory: Path, scene_text: str, title: str) -> None:
-    """Write design.csv, design_path.csv and design.nc."""
+    """Write design.csv, design_path.csv and, of a family, design.nc."""
     every = (design, *design.others)
     rows = [design_row(one, rank) for rank, one in enumerate(every, start=1)]
     write_csv(directory / "design.csv", list(rows[0]), rows)
@@ -295,19 +295,10 @@ def write_design(design: Design, directory: Path, scene_text: str, title: str) -
         for k, (value, p) in enumerate(zip(one.values, one.path, strict=True), start=1)
     ]
     write_csv(directory / "design_path.csv", list(steps[0]), steps)
-    over = ("optimum", "parameter")
-    variables = [
-        Variable("value", ("optimum",), np.array([one.value for one in every]), design.quantity),
-        Variable("value_error", ("optimum",), np.array([one.error for one in every]), "its estimated absolute error"),
-        Variable("optimality", ("optimum",), np.array([one.optimality for one in every]),
-                 "what the conditions of first order leave, relative to the largest gradient"),
-        Variable("parameters", over, np.array([list(one.parameters.values()) for one in every]), "of the design"),
-    ]  # fmt: skip
     if isinstance(design.solution, CosineOrbit):
-        variables += _cosines(every)
-    known = {"title": title, "scene": scene_text, **versions(), "parameter_names": ", ".join(design.parameters)}
-    known |= {"design_quantity": design.quantity, "design_reason": design.reason, "design_engine": design.engine}
-    write_netcdf(directory / "design.nc", Dataset(variables, known))
+        known = {"title": title, "scene": scene_text, **versions(), "design_quantity": design.quantity}
+        known |= {"design_reason": design.reason, "design_engine": design.engine}
+        write_netcdf(directory / "design.nc", Dataset(_cosines(every), known))
 
 
 def _cosines(found: Sequence[Design]) -> list[Variable]:

@@ -80,7 +80,7 @@ def prepare(directory: Path, request: Request, scene_text: str, existing: Existi
             raise DirectoryError(f"{directory}: holds {held[0]}; {words}")
     if held and existing is not Existing.OVERWRITE:
         _check_same(directory, request.scene)
-    written = any((directory / name).exists() for name in ("family.nc", "design.nc", "branch.nc", "dynamics.nc"))
+    written = any((directory / name).exists() for name in ("family.nc", "design.csv", "branch.nc", "dynamics.nc"))
     if written and existing is Existing.RESUME and not (directory / JOURNAL_FILE).exists():
         _check_complete(directory)
         return False

@@ -72,6 +72,7 @@ def test_pareto_front() -> None:
 def test_uneven_chain() -> None:
     example = load("design_uneven_chain")
     result = example.main()
+    assert result.found
     assert abs(result.value - 0.0741861680) < 1e-8
     assert 0.7 <= result["alpha_n"].min() < result["alpha_n"].max() <= 1.3
     for orbit in result.located:  # the equations of motion over one period, by an integrator

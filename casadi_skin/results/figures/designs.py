@@ -55,18 +55,12 @@ def path_of(result: Design) -> dict[str, Array]:
 
 
 def draw_starts(axes: Axes, result: SearchResult, objective: str) -> None:
-    """The objective that each start reached, by how it ended."""
-    marks = {Ending.CONVERGED: ("o", "black", "converged"), Ending.INFEASIBLE: ("x", "0.5", "infeasible"),
-             Ending.FAILED: ("+", "0.5", "not converged"), Ending.UNBOUNDED: ("^", "0.5", "ran off"),
-             Ending.INTERRUPTED: ("|", "0.5", "interrupted"), Ending.NO_OPTIMUM: ("s", "0.5", "saddle")}  # fmt: skip
-    shown = [o.objective for o in result.optima]
-    for ending, (marker, colour, label) in marks.items():
-        points = [(o.start.number, o.solution.objective) for o in result.outcomes
-                  if o.ending is ending and o.solution is not None and np.isfinite(o.solution.objective)]  # fmt: skip
-        if shown and ending is not Ending.CONVERGED:  # where starts that failed ended says little, and hides the rest
-            points = [(number, np.clip(value, min(shown), max(shown))) for number, value in points]
+    """The objective that each start reached, those that led to an optimum filled."""
+    ends = [(o.start.number, o.objective, o.ending is Ending.CONVERGED) for o in result.outcomes if o.solution]
+    for led, label, fill in ((True, "converged", "black"), (False, "another end", "none")):
+        points = [(number, value) for number, value, converged in ends if converged is led and np.isfinite(value)]
         if points:
-            axes.plot(*zip(*points, strict=True), marker, color=colour, mfc="none", ms=6, ls="none", label=label)
+            axes.plot(*zip(*points, strict=True), "o", color="black", mfc=fill, ms=6, ls="none", label=label)
     for optimum in result.optima[:1]:
         axes.axhline(optimum.objective, color="0.7", lw=0.8, zorder=0)
     low, high = axes.get_ylim()
