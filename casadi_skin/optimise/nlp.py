@@ -181,7 +181,7 @@ class Nlp:
     def _built(self, more: Mapping[str, Any]) -> tuple[ca.Function, IterationCallback]:
         """Ipopt with bounds that are not relaxed, and its callback."""
         parts = {"x": self._x, "p": self._p, "f": self._f, "g": self._g}
-        callback = IterationCallback(self.size, self._g.numel(), 0)
+        callback = IterationCallback(self.size, self._g.numel())
         options = {
             "ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0, "jac_g": self._constraints,
             "iteration_callback": callback, **self.options, **more,

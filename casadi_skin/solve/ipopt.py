@@ -412,9 +412,9 @@ class IterationCallback(ca.Callback):  # type: ignore[misc]  # CasADi has no typ
     `failure` is the exception that the monitor raised: CasADi would report a failed evaluation in its place.
     """
 
-    def __init__(self, unknowns: int, rows: int, parameters: int) -> None:
+    def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
-        sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": parameters}
+        sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": 0}
         self._sizes = [sizes[name] for name in ca.nlpsol_out()]
         self.begin(np.zeros(rows), np.zeros(rows), None)
         self.construct("iteration", {})

@@ -133,6 +133,16 @@ def test_a_pendulum_meets_its_closed_form() -> None:
     assert result.solution.profile == pytest.approx(np.sqrt(S))
 
 
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-5, 1e-8])
+def test_the_error_of_the_value_is_at_least_the_true_one(tolerance: float) -> None:
+    """Of a pendulum that comes near its upper rest: the S at which its frequency is 0.45, in closed form."""
+    orbit = follow_family(pendulum(), 1, 1.0, tolerance=1e-3).orbits[-1]
+    asked: dict[str, Any] = {"over": ["S"], "bounds": {"S": (0.1, 9.5), "Omega": (0.45, None)}, "maximise": True}
+    result = find_design("S", orbit, tolerance=tolerance, **asked)
+    S = brentq(lambda S: frequency(S) - 0.45, 5.0, 9.8, xtol=1e-13)
+    assert abs(result.value - S) <= result.error <= tolerance * S
+
+
 def test_several_orbits_of_one_model() -> None:
     """The w whose frequencies at S = 0.5 and 2 have the mean 1.2."""
     branch = follow_family(pendulum(), 1, 2.0, at=[0.5, 2.0])
