@@ -236,8 +236,8 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         solution: an equilibrium, an orbit, or a solution of a boundary-value problem, also one of a curve of special
             points; an orbit of a family is first solved again as a boundary-value problem at its S.
         quantity: the name of a free parameter, "period" and "Omega" among them; of a state, at the start or at phase
-            zero; of a state with "_min" or "_max" after it; "energy" and "S"; "max_abs_multiplier" of an orbit solved
-            over its whole period, "max_growth" of an equilibrium; or an expression in states and parameters, at the
+            zero; of a state with "_min" or "_max" after it; "energy", "S" and "max_abs_multiplier" of an
+            orbit, "max_growth" of an equilibrium; or an expression in states and parameters, at the
             start, as `monitors` of `follow` are.
         fixed: "period" or "frequency", as in `follow`: what keeps its value in place of what picks the orbit from
             its family.

@@ -23,12 +23,12 @@ from casadi_skin.model.arguments import accepted_names
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.adjoint import Equations
-from casadi_skin.zero.linearised import Linearised, null_vectors
+from casadi_skin.zero.linearised import Linearised, bordered, null_vectors
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import PERIOD
 
-MULTIPLIER_STEPS = 3  # of inverse iteration with the multiplier's own correction, quadratic each
+MULTIPLIER_STEPS = 2  # of the multiplier's corrections after the first, quadratic each
 EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
 Slopes = tuple[float, Array, Array]  # a value, its derivatives by the unknowns and by the parameters
 Target = Callable[[Any, Array], Slopes]
@@ -100,8 +100,7 @@ def _of_orbit(space: BoundarySpace, solution: Solution) -> dict[str, Target]:
         amplitude = amplitude_square(space.given)
         S = ca.Function("S", [amplitude.state], [amplitude.form])
         found["S"] = AtStart(space, S(model.full_state[: space.positions]))
-    if space.symmetry is SymmetryClass.FULL:
-        found["max_abs_multiplier"] = partial(_multiplier, solution)
+    found["max_abs_multiplier"] = partial(_multiplier, space, solution)
     return found
 
 
@@ -178,27 +177,54 @@ def _extreme(space: Any, k: int, sign: float, problem: Any, z: Array) -> Slopes:
     return float(by_z @ z), by_z, np.zeros(len(Equations.of(problem).names))
 
 
-def _multiplier(solution: Solution, problem: Any, z: Array) -> Slopes:
-    """The largest modulus of a multiplier but the trivial ones: v(1) = mu v(0), d mu = psi^H dB v / psi_1^H v(0)."""
-    from scipy.sparse import csc_matrix, diags, eye, hstack, vstack
+def _multiplier(space: BoundarySpace, solution: Solution, problem: Any, z: Array) -> Slopes:
+    """The largest modulus of a multiplier but the trivial ones: v(1) = mu v(0), d mu = psi^H dB v / psi_1^H v(0).
+
+    With x(-t) = R x(t) the second part of the period is the first one back: of functions v and w on the first one with
+    w(1) = M v(1) and N w(0) = nu v(0), M = N = R and mu = nu on a half, M = P R, N = R and mu = nu^2 on a quarter.
+    """
+    from scipy.sparse import block_diag, bmat, csc_matrix, diags, eye, hstack, vstack
+    from scipy.sparse.linalg import splu
 
     others = solution.floquet().others
     if not others.size:
         raise ValueError("quantity: given max_abs_multiplier of an orbit without others than the trivial ones")
     mu, n, k = complex(others[np.argmax(np.abs(others))]), problem.formulation.states, problem.states
-    mu = mu if mu.imag else mu.real
+    whole, quarter = space.symmetry is SymmetryClass.FULL, space.symmetry is SymmetryClass.QUARTER
     field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k]
+    start, end = hstack([eye(n), csc_matrix((n, k - n))]), hstack([csc_matrix((n, k - n)), eye(n)])
+    columns, rows = sizes, np.roll(sizes, -n)
+    if not whole:
+        N, half = np.ones(n), np.ones(n)
+        N[: space.model.full_size] = space.model.reversal
+        half[: space.model.full_size] = space.model.half_period if quarter else 1.0
+        field, columns = block_diag([field, field]), np.tile(sizes, 2)
+        rows = np.concatenate([sizes[n:], sizes[n:], sizes[-n:], sizes[:n]])
+
+    def step(nu: Any) -> tuple[Any, Array, Array]:
+        """The multiplier's correction; v, and psi over psi_1^H v(0)."""
+        closing = end - nu * start if whole else bmat([[-diags(half * N) @ end, end], [-nu * start, diags(N) @ start]])
+        B = (diags(1.0 / rows) @ vstack([field, closing]) @ diags(columns)).tocsc()
+        v, psi = null_vectors(B)  # whose shift is seen in the eleventh digit: they border B alone
+        factors: Any = splu(bordered(B, v[:, None].conj(), psi[:, None]))
+        last = np.append(np.zeros_like(v), 1.0)
+        v, psi = (factors.solve(last, trans)[:-1] for trans in ("N", "H"))
+        left = psi.conj() / (psi.conj()[-n:] @ v[:n])
+        return left @ (B @ v), v, left
+
+    mu = mu if mu.imag else mu.real
+    ways: list[Any] = [np.emath.sqrt(mu), -np.emath.sqrt(mu)] if quarter else [mu]
+    more, v, left, nu = min(((*step(way), way) for way in ways), key=lambda one: abs(one[0]))
     for _ in range(MULTIPLIER_STEPS):
-        B = vstack([field, hstack([-mu * eye(n), csc_matrix((n, k - 2 * n)), eye(n)])])
-        B = (diags(1.0 / np.roll(sizes, -n)) @ B @ diags(sizes)).tocsc()
-        v, psi = null_vectors(B)
-        left = psi.conj()
-        product = left[k - n :] @ v[:n]
-        mu = mu + (left @ (B @ v)) / product
-    left, way = np.zeros(problem.equations, dtype=left.dtype), np.append(v * sizes, np.zeros(z.size - k))
-    left[: k - n] = psi.conj()[: k - n] / sizes[n:]
-    turned = np.conj(mu) / abs(mu) / product
-    equations = Equations.of(problem)
-    by_z, by_c = ((turned * part).real for part in equations.of_pair(z, left, way))
+        nu = nu + more
+        more, v, left = step(nu)
+    equations, size = Equations.of(problem), float(abs(nu))
+    power, found = 1 + quarter, np.zeros(z.size + len(equations.names))
+    for copy in range(v.size // k):
+        way, weights = np.zeros(z.size, dtype=v.dtype), np.zeros(problem.equations, dtype=left.dtype)
+        way[:k], weights[: k - n] = v[copy * k :][:k] * sizes, left[copy * (k - n) :][: k - n] / sizes[n:]
+        pulled = np.concatenate(equations.of_pair(z, weights, way))
+        found += (power * size ** (power - 2) * np.conj(nu) * pulled).real
+    by_z, by_c = found[: z.size], found[z.size :]
     by_c[list(equations.by_switching(z))] = np.nan  # how the maps change with the mesh is not known
-    return float(abs(mu)), by_z, by_c
+    return float(size**power), by_z, by_c

@@ -466,6 +466,53 @@ def test_quantities_of_a_limit_cycle_are_those_of_differences() -> None:
     assert orbit.gradient("max_abs_multiplier").value == pytest.approx(orbit.floquet().max_abs_multiplier, rel=1e-9)
 
 
+def two_oscillators(even: bool, symmetric: bool, c: float = -0.08, tolerance: float = 1e-9) -> Any:
+    """An orbit in phase, unstable out of phase; of even potentials a quarter of the period is enough, else a half."""
+    x, y, u, v, k, c_, a = symbols("x y u v k c a")
+    potential = (x**2 + y**2 + c_ * (x - y) ** 2) / 2 + k * (x**4 + y**4) / 4 + (0 if even else a * (x**3 + y**3) / 3)
+    rhs = ca.vertcat(u, v, -ca.gradient(potential, x), -ca.gradient(potential, y))
+    signs: dict[str, Any] = {"reversal": (1, 1, -1, -1), "half_period": (-1,) * 4 if even else None}
+    energy = (u**2 + v**2) / 2 + potential
+    model = OdeModel("two", ca.vertcat(x, y, u, v), rhs, ca.vertcat(k, c_, a), hamiltonian=energy, **signs)
+    guess = lambda t: [1.2 * np.cos(1.2 * t)] * 2 + [-1.4 * np.sin(1.2 * t)] * 2  # noqa: E731
+    values = {"k": 1.0, "c": c, "a": 0.3}
+    return find_orbit(
+        model, guess, 2 * np.pi / 1.2, parameters=values, select=x - 1.2, symmetric=symmetric, tolerance=tolerance
+    )
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_multipliers_of_orbits_on_a_part_of_the_period_move_as_those_of_the_whole(even: bool) -> None:
+    whole, part = (two_oscillators(even, symmetric).gradient("max_abs_multiplier") for symmetric in (False, True))
+    assert part.value == pytest.approx(whole.value, rel=1e-12)
+    assert whole.value > 2.0
+    for name in whole:
+        assert abs(whole[name] - part[name]) <= whole.errors[name] + part.errors[name]
+        assert max(whole.errors[name], part.errors[name]) < 1e-10
+    place = lambda c: float(two_oscillators(even, True, c, 1e-11).floquet().max_abs_multiplier)  # noqa: E731
+    assert part["c"] == pytest.approx(by_differences(place, {"c": -0.08}, "c", 1e-3), rel=1e-7)
+
+
+def test_a_multiplier_on_the_circle_stays_there_within_the_error() -> None:
+    found = two_oscillators(True, symmetric=True, c=0.2).gradient("max_abs_multiplier")
+    for name in ("k", "c"):
+        assert abs(found[name]) <= found.errors[name] < 1e-9
+
+
+@pytest.mark.slow
+def test_the_multiplier_of_an_orbit_of_a_family_moves_as_those_of_families_beside_it() -> None:
+    branch = follow_family(Chain(8, 1.0, 0.2, -1.0), 1, 0.5, stability=True, tolerance=1e-9)
+    S = branch.changes[0].value + 0.003
+    found = branch.at(S=S).gradient("max_abs_multiplier")
+    assert found.value > 1.0005
+
+    def place(gamma: float) -> float:
+        beside = follow_family(Chain(8, 1.0, gamma, -1.0), 1, S, at=[S], tolerance=1e-11)
+        return float(beside.at(S=S).floquet().max_abs_multiplier)
+
+    assert found["gamma"] == pytest.approx(by_differences(place, {"gamma": 0.2}, "gamma", 2e-5), rel=1e-4)
+
+
 def test_extremes_of_a_cycle_are_those_of_closed_form_in_any_units() -> None:
     """The circle of radius sqrt(a), stretched by b: x = b sqrt(a) cos, at any phase."""
     for unit in (1.0, 1e6):
