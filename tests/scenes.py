@@ -26,13 +26,21 @@ def toml(value: Any) -> str:
     return repr(value).lower()  # True, 3, 1e-08, nan
 
 
-def table(name: str, **keys: Any) -> str:
+def table(name: str, /, **keys: Any) -> str:
     """A table of a scene."""
     return f"[{name}]\n" + "".join(f"{key} = {toml(value)}\n" for key, value in keys.items())
 
 
 def chain(sites: float = 6, alpha: float = 1.0, gamma: float = 0.25, g: float = -1.0) -> str:
     return table("chain", sites=sites, alpha=alpha, gamma=gamma, g=g)
+
+
+def lattice(cells: Any, onsite: str, offsets: Any = ([1],), parameters: Any = (), **bond: Any) -> str:
+    """Sites called a, one a cell, with a bond for each offset."""
+    bonds = [{"from": "a", "to": "a", "offset": offset, **bond} for offset in offsets]
+    return table(
+        "lattice", cells=cells, parameters=dict(parameters), site=[{"name": "a", "onsite": onsite}], bond=bonds
+    )
 
 
 def family(mode: Any = 1, amplitude_max: float = 1.0, **keys: Any) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import reprlib
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, cast
@@ -182,6 +183,16 @@ def by_name(name: str, value: object, what: str = "numbers") -> Mapping[str, Any
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise TypeError(f"{name}: given {short_repr(value)}; accepted: {what} by name")
     return value
+
+
+@contextmanager
+def needs_extra(package: str, extra: str) -> Iterator[None]:
+    """An import of a package that comes with an extra; raises ImportError, naming the extra, where it fails."""
+    try:
+        yield
+    except ImportError as error:
+        words = f'it comes with the extra: pip install "casadi-skin[{extra}]"'
+        raise ImportError(f"{package} is not installed; {words}") from error
 
 
 def file_path(name: str, value: object) -> Path:

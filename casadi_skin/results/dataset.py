@@ -18,6 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from casadi_skin._version import __version__
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SOLUTIONS
+from casadi_skin.model.arguments import needs_extra
 from casadi_skin.model.files import replacing
 from casadi_skin.results.quantities import BOTH, NETCDF, PROFILE_PHASES, Cell, Place, places_of, quantities_of
 
@@ -166,12 +167,8 @@ def to_xarray(dataset: Dataset, coordinates: Sequence[str] = ()) -> xarray.Datas
 
     Raises ImportError, naming the extra, where xarray is not installed.
     """
-    try:
+    with needs_extra("xarray", "xarray"):
         import xarray as xr
-    except ImportError as error:
-        raise ImportError(
-            'xarray is not installed; it comes with the extra: pip install "casadi-skin[xarray]"'
-        ) from error
     variables = {v.name: xr.Variable(v.dimensions, v.values, {"long_name": v.meaning}) for v in dataset.variables}
     chosen = {name: variables.pop(name) for name in coordinates if name in variables}
     return xr.Dataset(variables, chosen, dict(dataset.attributes))

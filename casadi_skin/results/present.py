@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadi_skin.follow.branch import Branch
-from casadi_skin.model.arguments import check_options, cut, short_repr
+from casadi_skin.model.arguments import check_options, cut, needs_extra, short_repr
 from casadi_skin.points.diagram import Diagram
 from casadi_skin.results import analyses, solutions  # noqa: F401  they register how results are shown
 from casadi_skin.results.dataset import Dataset, Variable, branch_to_xarray, to_xarray
@@ -45,11 +45,8 @@ def lines(result: Any) -> str:
 
 def to_dataframe(result: Any) -> pandas.DataFrame:
     """A result as a pandas DataFrame; raises ImportError, naming the extra, without pandas."""
-    try:
+    with needs_extra("pandas", "pandas"):
         import pandas
-    except ImportError as error:
-        extra = 'it comes with the extra: pip install "casadi-skin[pandas]"'
-        raise ImportError(f"pandas is not installed; {extra}") from error
     if isinstance(result, Branch):
         columns = columns_of(result)
         return pandas.DataFrame([{q.name: q.of(place) for q in columns} for place in places_of(result)])

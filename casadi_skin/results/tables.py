@@ -119,11 +119,6 @@ def event_rows(
     return sorted(rows, key=lambda row: row["S"] if isinstance(row["S"], float) else -1.0)
 
 
-def further_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
-    """Rows of further_events.csv: places where orbits are unstable on both sides, or stable on both."""
-    return list(edge_rows(mode, diagram, diagram.further))
-
-
 def edge_rows(mode: int, diagram: StabilityDiagram, edges: Sequence[StabilityEdge]) -> Iterator[dict[str, Cell]]:
     """Rows of edges of tongues, and of changes of localised multipliers, which bound none."""
     for e in edges:

@@ -36,8 +36,7 @@ def first_solution(request: Request, simulated: Cycle | None = None) -> Solution
     if request.scene.equilibrium is not None:
         return _equilibrium(request, request.scene.equilibrium)
     if request.problem is not None:
-        if request.guess is None:
-            raise ValueError("[solution]: missing; accepted: a scene with a [solution]")
+        assert request.guess is not None  # as the scene has a [solution]
         solution: Solution = request.problem.solve(request.guess, **request.options)
         return solution
     return _orbit(request, simulated or cycle(request), request.options)

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.arguments import file_path, short_repr, truth, whole
+from casadi_skin.model.arguments import file_path, needs_extra, short_repr, truth, whole
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.result import in_turn
 from casadi_skin.runs.binding import bind
@@ -152,12 +152,8 @@ def local_engine(workers: int) -> Engine:
 
 def dask_engine(address: str) -> Engine:
     """A dask cluster; raises ImportError, naming the extra, and OSError where no scheduler answers."""
-    try:
+    with needs_extra("dask", "cluster"):
         import distributed
-    except ImportError as error:
-        raise ImportError(
-            'dask is not installed; it comes with the extra: pip install "casadi-skin[cluster]"'
-        ) from error
     try:
         client: Any = distributed.Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
     except OSError as error:

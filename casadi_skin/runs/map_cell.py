@@ -429,9 +429,13 @@ class Served:
     def _row(self, k: int) -> Row:
         if k not in self.solutions:
             return Row({}, self.faults[k])
-        alone = Branches(self.request(self.values[k]), Progress(quiet=True)).alone(self.solutions[k])
-        (row,) = rows_of([alone], "", (), 0.0, self.meanings)
-        return row
+        return _row_alone(self.request(self.values[k]), self.solutions[k], self.meanings)
+
+
+def _row_alone(request: Request, solution: Solution, meanings: dict[str, str]) -> Row:
+    """The row of a cell that has this solution alone."""
+    (row,) = rows_of([Branches(request, Progress(quiet=True)).alone(solution)], "", (), 0.0, meanings)
+    return row
 
 
 def _attracts(orbit: Solution) -> bool:
@@ -441,14 +445,14 @@ def _attracts(orbit: Solution) -> bool:
 
 def served(request: Request, name: str, values: Sequence[float], meanings: dict[str, str]) -> Iterator[Row]:
     """Rows of the solutions at values of a parameter, where the branch from that at the first of them passes first."""
-    first, alone = first_solution(request), Branches(request, Progress(quiet=True))
+    first = first_solution(request)
     branch, found = first.follow(name, values[-1], at=values[1:], events=False), {values[0]: first}
     for solution in branch.solutions:
         if solution.point.requested:
             found.setdefault(solution.parameters[name], solution)
     for value in values:
         if value in found:
-            (row,) = rows_of([alone.alone(found[value])], "", (), 0.0, meanings)
+            row = _row_alone(request, found[value], meanings)
             values_of = {key: number for key, number in row.values.items() if key not in request.parameters}
             yield msgspec.structs.replace(row, values=values_of)
         else:

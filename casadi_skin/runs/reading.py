@@ -33,20 +33,16 @@ from casadi_skin.runs.scene import (
     AxisList,
     BondTable,
     ChainTable,
-    CurveTable,
-    DesignCondition,
     MapTable,
     RangeTable,
     Scene,
     SiteTable,
     Table,
-    UniformTable,
     accepted_by,
     words,
 )
 
 MODEL_TABLES = ("chain", "lattice", "model")  # tables of which a scene has one
-PARTS = (SiteTable, BondTable, UniformTable, CurveTable, DesignCondition, RangeTable)  # of tables
 LATTICE_PARTS: Mapping[str, type[Table]] = {"[lattice] site": SiteTable, "[lattice] bond": BondTable}
 KEY_SYNONYMS = {  # letters of papers and words of other programs, in lower case, for keys
     "n": "sites", "length": "sites", "s_max": "amplitude_max", "smax": "amplitude_max", "amplitude": "amplitude_max",
@@ -100,8 +96,7 @@ def scene_of(raw: dict[str, Any]) -> Scene:
 def scene_schema() -> dict[str, Any]:
     """The JSON schema of a scene, for editors that complete and check TOML."""
     schema: dict[str, Any] = _without_null(msgspec.json.schema(Scene))
-    tables: list[type[Table]] = [*TABLES.values(), *PARTS, Scene]
-    for table in tables:
+    for table in Table.__subclasses__():
         definition = schema["$defs"][table.__name__]
         definition["description"] = definition["description"].partition("\n\n    Attributes:")[0]
         for key, (title, accepted) in words(table).items():

@@ -28,8 +28,8 @@ from casadi_skin.results.tables import (
     TONGUE_COLUMNS,
     UNRESOLVED,
     edge_columns,
+    edge_rows,
     event_rows,
-    further_rows,
     gradient_rows,
     tongue_rows,
     write_series,
@@ -189,11 +189,10 @@ class Run(Branches):
             columns = (*EVENT_COLUMNS, *PROVED_COLUMNS) if certify else EVENT_COLUMNS
             events = (event_rows(mode_of(b), d, *([b.certify_change] if certify else [])) for b, d in known)
             write_csv(directory / "events.csv", columns, [row for rows in events for row in rows])
-            for name, names, make in (
-                ("further_events", EVENT_COLUMNS, further_rows),
-                ("tongues", TONGUE_COLUMNS, tongue_rows),
-            ):
-                write_csv(directory / f"{name}.csv", names, [row for b, d in known for row in make(mode_of(b), d)])
+            further = [row for b, d in known for row in edge_rows(mode_of(b), d, d.further)]
+            write_csv(directory / "further_events.csv", EVENT_COLUMNS, further)
+            tongues = [row for b, d in known for row in tongue_rows(mode_of(b), d)]
+            write_csv(directory / "tongues.csv", TONGUE_COLUMNS, tongues)
             sought = ((mode_of(b), p) for b in branches if b.with_events for p in b.passed_resonances or ())
             passed: list[tuple[Cell, ...]] = [(mode, *p.S, *p.Omega, p.changes, p.met) for mode, p in sought]
             rows = (dict(zip(PASSED_COLUMNS, row, strict=True)) for row in passed)

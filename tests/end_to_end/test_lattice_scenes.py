@@ -4,25 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import Runs, chain, family
+from scenes import Runs, chain, family, lattice
 from scipy.special import ellipk
 
 from casadi_skin import Bond, Lattice, Site, follow_family
 
-CELLS = """
-[lattice]
-cells = 12
-parameters = { alpha = 1.0, gamma = 0.25, g = -1.0 }
-[[lattice.site]]
-name = "a"
-onsite = "alpha*y + g*y^3"
-[[lattice.bond]]
-from = "a"
-to = "a"
-offset = [1]
-force = "d"
-gain = ["1 - gamma", "1 + gamma"]
-"""
+CELLS = lattice(
+    12, "alpha*y + g*y^3", parameters={"alpha": 1.0, "gamma": 0.25, "g": -1.0}, force="d",
+    gain=["1 - gamma", "1 + gamma"],
+)  # fmt: skip
 REST = "[spectrum]\n" + family(at=[0.2]) + "[stability]\nevents = false\n"
 
 
@@ -39,11 +29,11 @@ def test_check_prints_what_the_lattice_shows_of_itself(run: Runs) -> None:
 @pytest.mark.slow
 def test_lattices_run_as_the_chain_does(run: Runs) -> None:
     """By the chain of the same scene: of twelve cells, and of infinitely many."""
-    endless = CELLS.replace("cells = 12", "cells = inf").replace("g = -1.0", "g = 1.0")
+    endless = CELLS.replace("cells = 12", "cells = inf").replace('"g" = -1.0', '"g" = 1.0')
     edge = family("last") + "[accuracy]\ntolerance = 1e-9\n[stability]\n"
-    for lattice, rest, sites, g in ((CELLS, REST, 12, -1.0), (endless, edge, float("inf"), 1.0)):
+    for cells, rest, sites, g in ((CELLS, REST, 12, -1.0), (endless, edge, float("inf"), 1.0)):
         found, spectra = [], []
-        for text in (chain(sites, g=g), lattice):
+        for text in (chain(sites, g=g), cells):
             run(text + rest, "--overwrite")
             found.append(run.columns("family", "Omega", "Omega_shift", "energy", "max_abs_multiplier"))
             spectra += run.columns("spectrum", "omega") if "spectrum" in rest else []
@@ -58,13 +48,9 @@ def test_lattices_run_as_the_chain_does(run: Runs) -> None:
 
 def test_an_orbit_of_a_lattice_is_followed_in_the_value_that_selects_it(run: Runs) -> None:
     """The orbit with y_2 = 0.6 at rest against the family of the lowest mode at the same amplitude."""
-    lattice = (
-        "[lattice]\ncells = [3]\nparameters = { k = 1.0, b = 1.0 }\n"
-        '[[lattice.site]]\nname = "a"\nonsite = "k*y + b*y^3"\n'
-        '[[lattice.bond]]\nfrom = "a"\nto = "a"\noffset = [1]\nforce = "d"\n'
-    )
+    cells = lattice([3], "k*y + b*y^3", parameters={"k": 1.0, "b": 1.0}, force="d")
     orbit = "[orbit]\nstart = [0.1, 0.14, 0.1, 0, 0, 0]\nperiod = 4.9\nselect = { y_2 = 0.14 }\nsymmetric = true\n"
-    run(lattice + orbit + '[continuation]\nparameter = "select"\nto = 0.6\n[figures]\nformats = []\n', "--quiet")
+    run(cells + orbit + '[continuation]\nparameter = "select"\nto = 0.6\n[figures]\nformats = []\n', "--quiet")
     last = run.rows("branch")[-1]
     assert abs(float(last["y_2_max"]) - 0.6) < 1e-15  # rounding of the condition that selects it
     S = 0.36 + 2.0 * float(last["y_1_max"]) ** 2
@@ -74,13 +60,9 @@ def test_an_orbit_of_a_lattice_is_followed_in_the_value_that_selects_it(run: Run
 
 def test_an_orbit_of_a_lattice_is_followed_at_its_frequency(run: Runs) -> None:
     """One site, y'' = -k y - y^3, whose period by elliptic functions is that of the start at every k."""
-    lattice = (
-        "[lattice]\ncells = [1]\nparameters = { k = 1.0 }\n"
-        '[[lattice.site]]\nname = "a"\nonsite = "k*y + y^3"\n'
-        '[[lattice.bond]]\nfrom = "a"\nto = "a"\noffset = [1]\nforce = "0*d"\n'
-    )
+    cells = lattice([1], "k*y + y^3", parameters={"k": 1.0}, force="0*d")
     orbit = "[orbit]\nstart = [1.0, 0.0]\nperiod = 4.77\nselect = { y_1 = 1.0 }\nsymmetric = true\n"
-    run(lattice + orbit + '[continuation]\nparameter = "k"\nto = 0.5\nfixed = "frequency"\n[figures]\nformats = []\n')
+    run(cells + orbit + '[continuation]\nparameter = "k"\nto = 0.5\nfixed = "frequency"\n[figures]\nformats = []\n')
     first, *_, last = run.rows("branch")
     assert float(last["period"]) == pytest.approx(float(first["period"]), rel=1e-12)
     square = float(last["y_1_max"]) ** 2

@@ -18,6 +18,7 @@ import pytest
 from apart import ended, killed
 from drawing import blank_pictures
 from journals import journal_of
+from scenes import chain, family, table
 
 from casadi_skin.follow.point import PointSolver
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, PointRecord, data_of, value_of
@@ -30,16 +31,7 @@ from casadi_skin.zero.settings import ErrorEstimate
 
 pytestmark = pytest.mark.usefixtures("blank", "interruptible")
 
-FAMILY = """[chain]
-sites = 3
-alpha = 1.0
-gamma = 0.25
-g = -1.0
-[family]
-mode = [1, 3]
-amplitude_max = 1.0
-at = [0.2, 0.21, 0.5]
-"""
+FAMILY = chain(3) + family([1, 3], at=[0.2, 0.21, 0.5])
 STABLE = FAMILY + "[stability]\n"
 MODEL = """
 import casadi as ca
@@ -48,35 +40,15 @@ from stiffness import MU
 x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
 van_der_pol = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, MU * mu * (1 - x**2) * y - x), mu, nominal=(1.0,))
 """
-CYCLES = """[model]
-file = "model.py"
-name = "van_der_pol"
-[orbit]
-start = [2.0, 0.0]
-transient = 40.0
-[continuation]
-parameter = "mu"
-to = 2.0
-at = [1.5]
-[stability]
-[accuracy]
-tolerance = 1e-6
-"""
-CHAIN_ORBIT = """[chain]
-sites = 3
-alpha = 1.0
-gamma = 0.1
-g = 1.0
-[orbit]
-start = [0.2, -0.4, 0.5, 0.0, 0.0, 0.0]
-period = 3.0
-select = { y_3 = 0.5 }
-symmetric = true
-[continuation]
-parameter = "gamma"
-to = 0.4
-[stability]
-"""
+CYCLES = (
+    table("model", file="model.py", name="van_der_pol") + table("orbit", start=[2.0, 0.0], transient=40.0)
+    + table("continuation", parameter="mu", to=2.0, at=[1.5]) + "[stability]\n" + table("accuracy", tolerance=1e-6)
+)  # fmt: skip
+CHAIN_ORBIT = (
+    chain(3, gamma=0.1, g=1.0)
+    + table("orbit", start=[0.2, -0.4, 0.5, 0.0, 0.0, 0.0], period=3.0, select={"y_3": 0.5}, symmetric=True)
+    + table("continuation", parameter="gamma", to=0.4) + "[stability]\n"
+)  # fmt: skip
 KINDS = {
     "with stability": STABLE, "cycles of a model": CYCLES, "points alone": FAMILY, "orbits of a chain": CHAIN_ORBIT,
 }  # fmt: skip

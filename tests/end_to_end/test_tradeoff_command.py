@@ -6,31 +6,15 @@ from pathlib import Path
 
 import pytest
 from outputs import read_rows
+from scenes import chain, family, lattice
 
 from casadi_skin.runs import tradeoff
 from casadi_skin.runs.program import main
 from casadi_skin.runs.tradeoff import FLOW, Setting
 
-TINY = """
-[chain]
-sites = 2
-alpha = 1.0
-gamma = 0.25
-g = -1.0
-"""
-LATTICE = """
-[lattice]
-cells = [2]
-parameters = { alpha = 1.0, g = -1.0 }
-site = [{ name = "a", onsite = "alpha*y + g*y^3" }]
-bond = [{ from = "a", to = "a", offset = [1], force = "d" }]
-"""
-FAMILY = """
-[family]
-mode = [1, 2]
-amplitude_max = 0.4
-at = [0.2, 0.4]
-"""
+TINY = chain(2)
+LATTICE = lattice([2], "alpha*y + g*y^3", parameters={"alpha": 1.0, "g": -1.0}, force="d")
+FAMILY = family([1, 2], 0.4, at=[0.2, 0.4])
 FILES = {
     *("reference.csv", "tradeoff.csv", "flows.csv", "recommendations.md"),
     "tradeoff.png",

@@ -15,7 +15,7 @@ import casadi as ca
 import msgspec
 import pytest
 from apart import Ended, killing
-from scenes import Runs, chain, family
+from scenes import Runs, chain, family, lattice
 
 from casadi_skin import Chain, OdeModel, follow_family, search_orbit
 from casadi_skin.follow.branch import Branch
@@ -127,17 +127,7 @@ def test_an_infinite_chain_whose_edge_site_moves_alone_is_refused(gamma: float, 
     assert "[chain] sites: given an infinite chain; accepted: with |gamma| = 1 a finite one" in told
 
 
-LATTICE = """[lattice]
-cells = 16
-[[lattice.site]]
-name = "a"
-[[lattice.bond]]
-from = "a"
-to = "a"
-offset = [1]
-gain = [1e308, 1e308]
-[spectrum]
-"""
+LATTICE = lattice(16, "0", gain=[1e308, 1e308]) + "[spectrum]\n"
 
 
 @pytest.mark.usefixtures("blank")

@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import chain, table
+from scenes import chain, family, lattice, table
 
 from casadi_skin import OdeModel, find_orbit, read_model, read_result, simulate
 from casadi_skin.model.loading import LARGEST_FILE_BYTES
@@ -164,28 +164,7 @@ def test_more_memory_than_there_is_may_be_asked_for(tmp_path: Path, monkeypatch:
     assert main(["run", str(scene), "--out", str(tmp_path / "out"), "--quiet", "--beyond-memory"]) == 0
 
 
-PLANE = """
-[lattice]
-cells = [40, 40]
-boundary = "fixed"
-parameters = { g = -1.0 }
-[[lattice.site]]
-name = "a"
-onsite = "y + g*y^3"
-[[lattice.bond]]
-from = "a"
-to = "a"
-offset = [1, 0]
-force = "d"
-[[lattice.bond]]
-from = "a"
-to = "a"
-offset = [0, 1]
-force = "d"
-[family]
-mode = 1
-amplitude_max = 1.0
-"""
+PLANE = lattice([40, 40], "y + g*y^3", ([1, 0], [0, 1]), {"g": -1.0}, force="d") + family(1, 1.0)
 LARGE = {
     "family": ("run", PLANE, "0.36 GB", "family"),
     "multipliers": ("run", PLANE + "[stability]\n", "1.2 GB", "family"),

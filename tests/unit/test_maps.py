@@ -15,6 +15,7 @@ import pytest
 from maps import EQUILIBRIUM, TINY, Now, files, tasks, write
 from matplotlib.collections import QuadMesh
 from outputs import drawn, read_rows
+from scenes import chain, family, lattice, table
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
@@ -247,19 +248,11 @@ def test_a_plan_tells_cells_and_cost_and_xarray_opens_the_map(
     assert drawn(tmp_path / "out" / "map_Omega.png")
 
 
-ORBIT = """[chain]
-sites = 1
-alpha = 1.0
-gamma = 0.0
-g = 1.0
-[orbit]
-start = [0.3, 0.0]
-period = 4.0
-symmetric = true
-select = { y_1 = 0.3 }
-[map]
-alpha = [1.0]
-"""
+ORBIT = (
+    chain(1, gamma=0.0, g=1.0)
+    + table("orbit", start=[0.3, 0.0], period=4.0, symmetric=True, select={"y_1": 0.3})
+    + "[map]\nalpha = [1.0]\n"
+)
 DESIGN = BASE.replace("[family]\nmode = 1\namplitude_max = 0.1\n", "") + (
     '[design]\nquantity = "Omega"\nover = ["S"]\nbounds = { S = [0.1, 0.2] }\nstarts = 1\n[map]\nalpha = [1.0]\n'
 )
@@ -505,24 +498,15 @@ def test_colours_survive_grey_and_failed_cells_are_crossed_out() -> None:
     assert len(panel.collections) == 1
 
 
-LATTICE = """[lattice]
-cells = [4]
-parameters = { alpha = { low = 0.9, high = 1.1, seed = 1 }, g = 1.0 }
-[[lattice.site]]
-name = "a"
-onsite = "alpha*y + g*y^3"
-[[lattice.bond]]
-from = "a"
-to = "a"
-offset = [1]
-[family]
-mode = 1
-amplitude_max = 0.05
-[map]
+LATTICE = (
+    lattice([4], "alpha*y + g*y^3", parameters={"alpha": {"low": 0.9, "high": 1.1, "seed": 1}, "g": 1.0})
+    + family(1, 0.05)
+    + """[map]
 seed = { from = 1, to = 3, points = 3 }
 "g, mode" = [[1.0, 1], [-1.0, 4]]
 S = [0.01, 0.05]
 """
+)
 
 
 def test_values_go_where_they_belong_in_the_scene_of_a_cell() -> None:
@@ -558,7 +542,7 @@ def test_lines_of_a_boundary_are_read_as_they_were_written(tmp_path: Path) -> No
 
 def test_a_parameter_of_the_user_has_no_meaning_of_the_chain(tmp_path: Path) -> None:
     """`gamma` is the nonreciprocity of a chain alone, in the names of a map's axes."""
-    of_user = LATTICE.replace("{ low = 0.9, high = 1.1, seed = 1 }", "1.0, gamma = 0.1").replace(
+    of_user = LATTICE.replace('{"low" = 0.9, "high" = 1.1, "seed" = 1}', '1.0, "gamma" = 0.1').replace(
         "*y +", "*y + gamma*y +"
     )
     for text, words in ((of_user, b"the parameter lattice.parameters.gamma"), (TINY, b"nonreciprocity")):
