@@ -48,7 +48,7 @@ from casadi_skin.zero.balanced import ROUNDED_COMPONENT_RATIO, Faint
 from casadi_skin.zero.butcher import TABLES
 from casadi_skin.zero.coordinates import numbered
 from casadi_skin.zero.family import TWO_PI, Method
-from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved
+from casadi_skin.zero.kinds import BOUND, BRANCH_POINT, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF, Unresolved, kind_of
 from casadi_skin.zero.orbit import FIRST_INTERVALS, UNFOLDING, Periodic, Sizes
 from casadi_skin.zero.problem import Array, Buffers, Indices, Problem, Scalar, SingularError
 from casadi_skin.zero.rest import Statics, sizes_of
@@ -564,7 +564,13 @@ class BoundarySpace(ParameterSpace):
             return Closed(problem, z, periodic.model, periodic.symmetry)
 
         finer = None if better is None else closed(stated(better.problem), better.z)
-        return FULL_PERIOD_FLOWS[by](closed(stated(point.problem), point.z), finer, self.tolerance)
+        found = FULL_PERIOD_FLOWS[by](closed(stated(point.problem), point.z), finer, self.tolerance)
+        kind, whole = kind_of(point.special), self.periodic is not None and self.symmetry is SymmetryClass.FULL
+        if kind.of_orbits is None or not (with_errors and whole and self.has_ledger):
+            return found
+        turns = self.model.forced or PERIOD in self.statement.free  # or a fold is one at a period that is held
+        angle = point.angle if kind.angle is None else kind.angle
+        return found if angle is None or not turns else found.passing(angle)
 
     def floquet_vectors(self, point: Point, floquet: Floquet) -> ComplexArray:
         """Eigenvectors of the monodromy matrix in the order of the multipliers, largest entry 1."""

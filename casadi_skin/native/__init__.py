@@ -86,7 +86,7 @@ FUNCTIONS = {
     "contracts": "iiiiaaairraa",
     "eliminated": "aiaaaaaa",
     "interval_maps": "aiiaaaaa",
-    "multipliers": "iiiiiriaaaaaaa",
+    "multipliers": "iiiiirriaaaaaaa",
     "orbit_multipliers": "waaiw",
     "orbit_multipliers_by_parts": "wwaaaaiiww",
     "judged_multipliers": "iwarrw",
@@ -499,7 +499,7 @@ def interval_maps(method: Structure, lengths: Array, jacobians: Array) -> tuple[
 
 
 def multipliers(
-    maps: Array, known: tuple[int, Array, Array], units: Array, contraction: float, with_rounding: bool, frame: Array
+    maps: Array, known: tuple[int, Array, Array], units: Array, product: Sequence[float], rounding: bool, frame: Array
 ) -> Array:
     """Multipliers of maps (K, n, n) as `stability.closed_maps` has them: the steps are described there.
 
@@ -507,8 +507,8 @@ def multipliers(
         maps: of at most MOST_STATES states.
         known: number of trivial multipliers, their directions and their gradients.
         units: of the states.
-        contraction: the logarithm of the determinant, NaN where it is not known.
-        with_rounding: whether what rounding makes of them is wanted.
+        product: sign and logarithm of its determinant; that is NaN where it is not known.
+        rounding: whether what rounding makes of them is wanted.
         frame: an orthogonal matrix in general position.
 
     Returns:
@@ -522,7 +522,7 @@ def multipliers(
     K, n, _ = maps.shape
     trivial, right, left = known
     found, memory = np.empty(n * (n + 4) + 4), np.empty((8 * K + 40) * n * n + 20 * n + 4 * K)
-    shape = K, n, right.shape[1], left.shape[1], trivial, contraction, with_rounding
+    shape = K, n, right.shape[1], left.shape[1], trivial, product[1], product[0], rounding
     if kernels()["multipliers"](*shape, maps, right, left, units, frame, found, memory):
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
     return found

@@ -102,6 +102,6 @@ int NAMED(interval_maps)(const void *of, int64_t K, int64_t n, const double *len
                          double *maps, double *contraction, double *memory);
 void NAMED(changes)(int64_t K, int64_t d, int64_t n, const double *lengths, const double *jacobians, double enough,
                     double small, double *bounds);
-int NAMED(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial, double contraction, int64_t wanted,
-                       const double *maps, const double *right, const double *left, const double *units,
+int NAMED(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial, double contraction, double sign,
+                       int64_t wanted, const double *maps, const double *right, const double *left, const double *units,
                        const double *general, double *found, double *memory);

@@ -83,13 +83,13 @@ double NAMED(divide)(int64_t n, int64_t columns, double *A, double *X)
 }
 
 /* Later maps times earlier ones, and where wanted the inverse of that by those of the maps, each of norm 1 with the
-   logarithm of its size; then the sign of the determinant. `memory` has two matrices. */
+   logarithm of its size. `memory` has two matrices. */
 static void products(int64_t K, int64_t n, const double *maps, double *forward, double *inverse, double *logs,
                      double *memory)
 {
     double *other = memory, *now = forward;
     identity(n, now);
-    logs[0] = logs[1] = 0.0, logs[2] = 1.0;
+    logs[0] = logs[1] = 0.0;
     for (int64_t k = 0; k < K; k++) {
         double *next = now == forward ? other : forward;
         times(n, next, maps + k * n * n, now);
@@ -103,7 +103,7 @@ static void products(int64_t K, int64_t n, const double *maps, double *forward, 
     identity(n, inverse);
     for (int64_t k = K - 1; k >= 0; k--) {
         memcpy(memory, maps + k * n * n, (size_t)(n * n) * sizeof(double));
-        logs[2] *= NAMED(divide)(n, n, memory, inverse);
+        NAMED(divide)(n, n, memory, inverse);
         scale(n, inverse, logs + 1, k == 0);
     }
 }
@@ -436,18 +436,16 @@ static void rounding_of(int64_t K, int64_t n, const double *maps, const double *
     }
 }
 
-/* Eigenvalues of a product of maps with entries of terms of these sizes, and what rounding makes of them if wanted. The
-   sign of its determinant goes to `sign`. Returns 1 where they come from a periodic Schur form, else 0, or -1 where they
-   do not converge. `memory` has (K + 28) n^2 + 20 n numbers. */
+/* Eigenvalues of a product of maps with entries of terms of these sizes, and what rounding makes of them if wanted. Returns
+   1 where they come from a periodic Schur form, else 0, or -1 where they do not converge. `memory` has (K + 28) n^2 + 20 n numbers. */
 static int spectrum_of(int64_t K, int64_t n, const double *maps, const double *sizes, int64_t across,
-                       const double *general, eigenvalue *values, double *rounding, double *sign, double *memory)
+                       const double *general, eigenvalue *values, double *rounding, double *memory)
 {
     const int64_t area = n * n;
-    double *forward = memory, *inverse = forward + area, *vectors = inverse + area, *room = vectors + 2 * area, logs[3];
+    double *forward = memory, *inverse = forward + area, *vectors = inverse + area, *room = vectors + 2 * area, logs[2];
     int64_t order[MOST_STATES];
     eigenvalue backward[MOST_STATES];
     products(K, n, maps, forward, inverse, logs, room);
-    *sign = logs[2];
     const double range = logs[0] + logs[1] + 0.0 * largest(inverse, area); /* NaN where a map is singular */
     int failed = eigenvalues_of(n, forward, logs[0], values, rounding ? vectors : NULL, order, room), extreme = 0;
     if (K > 1 && range <= EXTREME_LOG_CONDITION && !failed) {
@@ -540,13 +538,17 @@ static double balanced_units(int64_t n, const double *matrix, const double *give
     return norm;
 }
 
-/* Of n a single one that is tiny, or huge where none is tiny, from the logarithm and the sign of their product. */
-static void by_liouville(int64_t n, eigenvalue *values, double contraction, double sign)
+/* Of n a single one that is tiny, or huge where none is tiny, from the logarithm and the sign of their product: where there
+   is but one, that tells whether it is. What rounding makes of it is relative then, where that of the product of K maps is
+   as large as it is. */
+static void by_liouville(int64_t n, eigenvalue *values, double contraction, double sign, int64_t K, double *rounding)
 {
     int64_t small = 0, large = 0;
-    double re = sign, im = 0.0;
-    for (int64_t i = 0; i < n; i++)
-        small += values[i].log < SMALL_LOG, large += values[i].log > -SMALL_LOG;
+    double re = sign, im = 0.0, relative = MAP_ENTRY_ROUNDING * DBL_EPSILON * (double)K;
+    for (int64_t i = 0; i < n; i++) {
+        const double log = n == 1 ? contraction : values[i].log;
+        small += log < SMALL_LOG, large += log > -SMALL_LOG;
+    }
     const int64_t index = small == 1 ? n - 1 : large == 1 && !small ? 0 : -1;
     if (index < 0)
         return;
@@ -554,27 +556,31 @@ static void by_liouville(int64_t n, eigenvalue *values, double contraction, doub
         if (i != index) {
             const double other = re * values[i].re - im * values[i].im;
             im = re * values[i].im + im * values[i].re, re = other;
-            contraction -= values[i].log;
+            contraction -= values[i].log, relative += rounding[i] / fmax(modulus_of(values[i]), DBL_MIN);
         }
     values[index] = (eigenvalue){contraction, re < 0.0 ? -1.0 : 1.0, 0.0};
+    const double modulus = fmax(modulus_of(values[index]), DBL_MIN);
+    if (rounding[index] > modulus)
+        rounding[index] = relative * modulus;
 }
 
 /* Multipliers of K maps of n states, n at most 16, the trivial ones first. Of `trivial` ones r directions and l gradients,
    (any, r, n) and (any, l, n) at the K places and more, are known. `general` is an orthogonal matrix in general position,
-   `contraction` the logarithm of the determinant, NaN where it is not known.
+   `contraction` the logarithm of the determinant, NaN where it is not known, and `sign` its sign, which maps that shrink
+   all but one direction by ten powers have lost.
 
    `found` takes (n) logarithms, real and imaginary parts of phases, what rounding makes of those that are not trivial if
    that is `wanted`; the product of all maps, (n, n); and how many are trivial, the logarithm of the product's size, its
    norm in balanced units, and whether a periodic Schur form was needed. `memory` has (8 K + 40) n^2 + 20 n + 4 K numbers.
    Returns 1 where eigenvalues do not converge. */
-KERNEL(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial, double contraction, int64_t wanted,
-                    const double *maps, const double *right, const double *left, const double *units,
+KERNEL(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial, double contraction, double sign,
+                    int64_t wanted, const double *maps, const double *right, const double *left, const double *units,
                     const double *general, double *found, double *memory)
 {
     const int64_t v = r + l, area = n * n;
     double *rounding = found + 3 * n, *matrix = rounding + n, *numbers = matrix + area;
     double *M = memory, *vectors = M + K * area, *blocks = vectors + K * area, *beside = blocks + K * area;
-    double *across = beside + K * area, *sizes = across + K * area, *room = sizes + K * area, logs[4], sign = 1.0;
+    double *across = beside + K * area, *sizes = across + K * area, *room = sizes + K * area, logs[3];
     double lost[MOST_STATES * MOST_STATES], scales[MOST_STATES], by[MOST_STATES];
     int64_t *places = (int64_t *)(room + (2 * K + 36) * area + 20 * n + 2 * K);
     eigenvalue across_all[MOST_STATES], all[MOST_STATES];
@@ -607,8 +613,6 @@ KERNEL(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial,
                 return 1;
             known += size;
         }
-        for (int64_t i = 0; i < known; i++)
-            sign *= all[i].im == 0.0 && all[i].re < 0.0 ? -1.0 : 1.0;
     } else { /* no directions: all of it */
         count = K;
         memcpy(across, M, (size_t)(K * area) * sizeof(double));
@@ -616,13 +620,11 @@ KERNEL(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial,
             sizes[i] = fabs(M[i]);
     }
     const int64_t size = n - known;
-    double turn = 1.0;
     int extreme = 0;
     if (size)
-        extreme = spectrum_of(count, size, across, sizes, n, general, across_all, wanted ? by : NULL, &turn, room);
+        extreme = spectrum_of(count, size, across, sizes, n, general, across_all, wanted ? by : NULL, room);
     if (extreme < 0)
         return 1;
-    sign *= turn;
 
     int8_t is_near[MOST_STATES];
     double by_near = 0.0; /* the logarithm of the product of trivial ones, 0 where vectors tell */
@@ -640,7 +642,7 @@ KERNEL(multipliers)(int64_t K, int64_t n, int64_t r, int64_t l, int64_t trivial,
         }
 
     if (!isnan(contraction))
-        by_liouville(n - first, all + first, contraction - by_near, sign);
+        by_liouville(n - first, all + first, contraction - by_near, sign, K, rounding);
     for (int64_t i = 0; i < n; i++)
         found[i] = all[i].log, found[n + i] = all[i].re, found[2 * n + i] = all[i].im;
     numbers[0] = (double)first, numbers[1] = logs[0], numbers[3] = extreme;

@@ -75,8 +75,8 @@ KERNEL(orbit_multipliers)(const orbit *o, const double *z, const double *numbers
     NAMED(collocation_jacobians)(o->equations, z, numbers, o->n, o->rows, o->columns, o->jacobians);
     NAMED(interval_maps)(o->method, o->K, o->n, numbers, o->jacobians, o->maps, o->contraction, o->memory);
     sizes_of(o, z, sizes);
-    if (NAMED(multipliers)(o->K, o->n, directions(o, sizes), 0, o->trivial, *o->contraction, with_rounding, o->maps,
-                           o->velocities, NULL, sizes, o->general, found, o->memory))
+    if (NAMED(multipliers)(o->K, o->n, directions(o, sizes), 0, o->trivial, *o->contraction, 1.0, with_rounding,
+                           o->maps, o->velocities, NULL, sizes, o->general, found, o->memory))
         return 1;
     behind[4] = parts_of(o, numbers, found, (int64_t)behind[0]);
     return 0;
@@ -114,8 +114,8 @@ KERNEL(orbit_multipliers_by_parts)(const orbit *o, const void *polynomials, cons
     memcpy(velocities + parts * n, o->velocities + o->K * n, (size_t)n * sizeof(double));
     sizes_of(o, z, sizes);
     memcpy(whole, found, (size_t)(n * (n + 4) + 4) * sizeof(double));
-    if (NAMED(multipliers)(parts, n, directions(o, sizes), 0, o->trivial, *o->contraction, with_rounding, maps, velocities,
-                           NULL, sizes, o->general, found, room))
+    if (NAMED(multipliers)(parts, n, directions(o, sizes), 0, o->trivial, *o->contraction, 1.0, with_rounding, maps,
+                           velocities, NULL, sizes, o->general, found, room))
         return 1;
     for (int64_t i = (int64_t)found[n * (n + 4)], r = 3 * n; i < n; i++, r++)
         if (fabs(whole[i]) <= FAR_LOG_EIGENVALUE && fabs(whole[i] - found[i]) <= SAME_LOG)

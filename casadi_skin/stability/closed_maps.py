@@ -193,24 +193,29 @@ def _triangular(maps: Array, frame: Array) -> tuple[Array, Array]:
 # Liouville's formula --------------------------------------------------------------------------------------------------
 
 
-def by_liouville(spectrum: Spectrum, maps: Array, contraction: float) -> Spectrum:
-    """The eigenvalues, a single one that is tiny, or huge where none is tiny, from their product exp(contraction)."""
-    index = _single(spectrum)
+def by_liouville(spectrum: Spectrum, rounding: Array, sign: float, log: float, count: int) -> tuple[Spectrum, Array]:
+    """The eigenvalues, a single one that is tiny, or huge where none is tiny, from their product sign exp(log).
+
+    Where there is but one, that tells whether it is. What rounding makes of it is relative then, where that of the
+    product of so many maps is as large as it is.
+    """
+    index = _single(spectrum.logs if spectrum.logs.size > 1 else np.full(spectrum.logs.size, log))
     if index is None:
-        return spectrum
-    others = np.delete(spectrum.logs, index)
-    logs, phases = spectrum.logs.copy(), spectrum.phases.copy()
-    logs[index] = contraction - float(np.sum(others))
-    sign = np.prod(np.linalg.slogdet(maps)[0]) * np.prod(np.delete(phases, index)).real
-    phases[index] = np.sign(sign) or 1.0
-    return Spectrum(logs, phases, spectrum.extreme)
+        return spectrum, rounding
+    is_other, logs, phases = np.arange(spectrum.logs.size) != index, spectrum.logs.copy(), spectrum.phases.copy()
+    logs[index] = log - float(np.sum(logs[is_other]))
+    phases[index] = np.sign(sign * np.prod(phases[is_other]).real) or 1.0
+    found = Spectrum(logs, phases, spectrum.extreme)
+    sizes = np.maximum(np.abs(found.values), np.finfo(float).tiny)
+    relative = MAP_ENTRY_ROUNDING * MACHINE_EPSILON * count + np.sum((rounding / sizes)[is_other])
+    return found, np.where(is_other | (rounding <= sizes), rounding, relative * sizes)
 
 
-def _single(spectrum: Spectrum) -> int | None:
+def _single(logs: Array) -> int | None:
     """Place of the single eigenvalue that is tiny, or huge where none is tiny; None where there are more, or none."""
-    small, large = spectrum.logs < np.log(SMALL_MODULUS), spectrum.logs > -np.log(SMALL_MODULUS)
+    small, large = logs < np.log(SMALL_MODULUS), logs > -np.log(SMALL_MODULUS)
     if np.count_nonzero(small) == 1:
-        return spectrum.logs.size - 1
+        return logs.size - 1
     return 0 if np.count_nonzero(large) == 1 and not small.any() else None
 
 
@@ -402,7 +407,7 @@ class Multipliers:
 
 
 def multipliers_along(
-    maps: Array, trivial: Trivial, units: Array, contraction: float | None = None, with_rounding: bool = True
+    maps: Array, trivial: Trivial, units: Array, product: tuple[float, float] | None = None, with_rounding: bool = True
 ) -> Multipliers:
     """Multipliers of the product of maps, later ones times earlier ones.
 
@@ -410,11 +415,11 @@ def multipliers_along(
         maps: from each end of an interval to the next, the last one back to the first, shape (intervals, n, n).
         trivial: multipliers that are 1, with vectors at all ends.
         units: sizes of the components.
-        contraction: the logarithm of the determinant of the product; None where it is not known.
+        product: sign and logarithm of the determinant of their product; None where it is not known.
         with_rounding: whether what rounding makes of them is wanted; zeros where not.
     """
     if maps.shape[1] <= MOST_STATES and kernels():
-        return _compiled(maps, trivial, units, contraction, with_rounding)
+        return _compiled(maps, trivial, units, product, with_rounding)
     matrix, size = scaled_product(maps)
     scaled = matrix * units / units[:, None]
     coupled = np.abs(scaled) + COUPLED_ENTRY_RATIO * (np.max(np.abs(np.diagonal(scaled)), initial=0.0) or 1.0)
@@ -427,19 +432,20 @@ def multipliers_along(
     rounding = _rounding(across, sizes, found) if with_rounding else np.zeros(found.logs.size)
     is_other = np.ones(found.logs.size, dtype=bool)
     is_other[np.argsort(np.abs(found.values - 1.0), kind="stable")[: trivial.count - near.logs.size]] = False
-    near, others = near.joined(found.taken(~is_other)), found.taken(is_other)
-    if contraction is not None:  # at rest the one nearest to 1, which stands for the trivial one, may be far off
-        others = by_liouville(others, maps, contraction - (0.0 if vectors else float(np.sum(near.logs))))
+    near, others, rounding = near.joined(found.taken(~is_other)), found.taken(is_other), rounding[is_other]
+    if product is not None:  # at rest the one nearest to 1, which stands for the trivial one, may be far off
+        left = product[1] - (0.0 if vectors else float(np.sum(near.logs)))
+        others, rounding = by_liouville(others, rounding, product[0], left, len(maps))
     norm = float(np.linalg.norm(scaled * scales / scales[:, None], 2))
-    return Multipliers(near, others, rounding[is_other], matrix, size, max(1.0, norm * np.exp(min(size, 700.0))))
+    return Multipliers(near, others, rounding, matrix, size, max(1.0, norm * np.exp(min(size, 700.0))))
 
 
 def _compiled(
-    maps: Array, trivial: Trivial, units: Array, contraction: float | None, with_rounding: bool
+    maps: Array, trivial: Trivial, units: Array, product: tuple[float, float] | None, with_rounding: bool
 ) -> Multipliers:
     """The same by the kernel."""
     maps, right, left = map(np.ascontiguousarray, (maps, trivial.right, trivial.left))
-    n, determinant = maps.shape[1], np.nan if contraction is None else contraction
+    n, determinant = maps.shape[1], product or (1.0, np.nan)
     known = trivial.count, right, left
     found = native.multipliers(maps, known, units, determinant, with_rounding, general_frame(n))
     logs, re, im, rounding = found[: 4 * n].reshape(4, n)

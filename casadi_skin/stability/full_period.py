@@ -41,7 +41,7 @@ from casadi_skin.stability.closed_maps import (
 )
 from casadi_skin.stability.flows import LOCAL_TOLERANCE_RATIO, TIGHTEST_LOCAL_TOLERANCE, FlowError, transition_by_cvodes
 from casadi_skin.stability.leading import FEWEST, ManyLeadingError, leading_multipliers
-from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet
+from casadi_skin.stability.result import LARGEST_LOGARITHM, Floquet, verdicts
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Indices
 from casadi_skin.zero.stated_problem import TURNED_FIELD_RTOL, BoundaryProblem, Closure
@@ -63,19 +63,16 @@ def judged(
     Relative errors are at least the part `least` of the largest.
     """
     near, others = found.trivial.values, found.others.values
-    moduli, errors = np.abs(others), np.full(others.size, np.inf)
-    sizes = np.maximum(1.0, moduli)
+    errors, sizes = np.full(others.size, np.inf), np.maximum(1.0, np.abs(others))
     if better is not None:
         errors = DISTANCE_SAFETY / (1.0 - left) * _distances(found.others, better.others) + found.rounding
         if least:
             errors = np.maximum(errors, least * sizes * np.max(errors / sizes, initial=0.0))
     deviation = float(np.abs(near - 1.0).prod() ** (1.0 / near.size)) if near.size else 0.0
-    decisive = moduli >= 1.0 - errors
-    error = float((errors / sizes)[decisive | (not decisive.any())].max(initial=0.0))
-    largest, on_circle = float(moduli.max(initial=0.0)), np.abs(moduli - 1.0) <= errors
+    on_circle, real, error = verdicts(others, errors)
     return Floquet(
         np.concatenate([near, others]), np.concatenate([found.trivial.logs, found.others.logs]), near.size, deviation,
-        errors, on_circle, np.abs(others.imag) <= errors, error, largest, NO_MU, NO_MU_ERROR,
+        errors, on_circle, real, error, float(np.abs(others).max(initial=0.0)), NO_MU, NO_MU_ERROR,
         monodromy=None if found.matrix is None else found.matrix * np.exp(min(found.size, LARGEST_LOGARITHM)),
         lost=found.lost, allowed_deviation=float(TRIVIAL_DRIFT * tolerance * found.norm), beyond=found.beyond,
     )  # fmt: skip
@@ -300,10 +297,10 @@ class Closed:
         there = np.concatenate([maps, mirror[:, None] * np.linalg.inv(maps[::-1]) * mirror])
         return there if half is None else np.concatenate([there, half[:, None] * there * half])
 
-    def contraction(self, part: float) -> float:
-        """The logarithm of the determinant of all maps, from that over the part that is solved for."""
-        whole = part / self.symmetry.value
-        return whole if self.turn is None else whole - float(np.linalg.slogdet(self.turn)[1])
+    def contraction(self, part: float) -> tuple[float, float]:
+        """Sign and logarithm of the determinant of all maps, from the logarithm over the part that is solved for."""
+        sign, by_turn = (1.0, 0.0) if self.turn is None else np.linalg.slogdet(self.turn)
+        return float(sign), part / self.symmetry.value - float(by_turn)
 
     @property
     def _signs(self) -> tuple[Array, Array | None]:
@@ -408,8 +405,8 @@ def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multip
     """From maps over intervals; over parts of these where several are so far from 1 that digits may be lost."""
     problem, n = orbit.problem, orbit.size
     jacobians = problem.discretisation.jacobians(orbit.z, problem.numbers, n)  # at all stages, of unit length
-    maps, contraction = interval_maps(jacobians, problem.constants, problem.table)
-    contraction = orbit.contraction(contraction)
+    maps, by_part = interval_maps(jacobians, problem.constants, problem.table)
+    contraction = orbit.contraction(by_part)
 
     def multipliers(maps: Array, trivial: Trivial) -> Multipliers:
         return multipliers_along(orbit.over_the_period(maps), trivial, orbit.units, contraction, with_rounding)

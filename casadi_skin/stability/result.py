@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -95,12 +95,21 @@ class Floquet(Result):
         """Multipliers but the trivial ones."""
         return self.multipliers[self.trivial :]
 
+    def passing(self, angle: float) -> Floquet:
+        """Those of an orbit one of whose multipliers is exp(i angle): errors of all are no less than it is off by."""
+        off = np.min(np.abs(self.others - np.exp(1j * angle)), initial=np.inf)
+        errors = np.maximum(self.other_errors, off * np.maximum(1.0, np.abs(self.others)))
+        on_circle, real, error = verdicts(self.others, errors)
+        return replace(self, other_errors=errors, on_circle=on_circle, real=real, error=error)
+
     @cached_property
     def exponents(self) -> Exponents:
-        """Logarithms of `others` with their errors."""
+        """Logarithms of `others` with their errors, down to the smallest where a multiplier may be zero, or outside."""
         moduli = np.maximum(self.log_moduli[self.trivial :], SMALLEST_LOGARITHM)
         with np.errstate(over="ignore"):
             noise = np.log1p(self.other_errors * np.exp(-moduli))
+        any_size = (noise >= SIGN_NOISE) & (moduli + noise > 0.0)
+        noise = np.where(any_size, np.maximum(noise, moduli - SMALLEST_LOGARITHM), noise)
         return Exponents(moduli + 1j * np.angle(self.others), noise)
 
     @property
@@ -161,6 +170,14 @@ class Floquet(Result):
             huge = int(np.count_nonzero(self.log_moduli > LARGEST_LOGARITHM))
             words = f"{huge} of the multipliers exceed the largest double, which stands for them"
             warnings.warn(f"{words}: see log10_abs_multipliers", HugeMultiplierWarning, stacklevel=4)
+
+
+def verdicts(others: ComplexArray, errors: Array) -> tuple[Booleans, Booleans, float]:
+    """Which multipliers with these errors lie on the unit circle, which are real, and their error as a whole."""
+    moduli = np.abs(others)
+    decisive, relative = moduli >= 1.0 - errors, errors / np.maximum(1.0, moduli)
+    error = float(relative[decisive | (not decisive.any())].max(initial=0.0))
+    return np.abs(moduli - 1.0) <= errors, np.abs(others.imag) <= errors, error
 
 
 def root_of(mu: ComplexArray, mu_error: Array) -> tuple[ComplexArray, Booleans, Booleans]:

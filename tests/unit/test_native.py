@@ -84,7 +84,10 @@ def test_maps_over_intervals_are_those_by_numpy(table: CollocationTable, n: int)
 @needs_kernels
 @pytest.mark.parametrize("known", [(0, 0), (1, 0), (1, 1), (2, 1)])
 @pytest.mark.parametrize("scale", [1.0, 4.0])
-def test_multipliers_of_chains_of_maps_are_those_by_numpy(known: tuple[int, int], scale: float) -> None:
+@pytest.mark.parametrize("with_product", [False, True])
+def test_multipliers_of_chains_of_maps_are_those_by_numpy(
+    known: tuple[int, int], scale: float, with_product: bool
+) -> None:
     """Far from 1 too, by a periodic Schur form; some vectors are carried along, as those of time and of gradients."""
     generator, K, n = np.random.default_rng(7), 40, 5
     frames = np.linalg.qr(generator.normal(size=(K, n, n)))[0]
@@ -94,9 +97,11 @@ def test_multipliers_of_chains_of_maps_are_those_by_numpy(known: tuple[int, int]
     maps = frames[1:] @ upper @ frames[:-1].swapaxes(1, 2)
     right, left = np.split(frames.swapaxes(1, 2)[:, : sum(known)], [known[0]], axis=1)
     trivial = Trivial(sum(known), right, left)
-    found = multipliers_along(maps, trivial, np.ones(n))
+    signs, logs = np.linalg.slogdet(maps)
+    known_product = (float(signs.prod()), float(logs.sum())) if with_product else None
+    found = multipliers_along(maps, trivial, np.ones(n), known_product)
     with numpy_alone():
-        plain = multipliers_along(maps, trivial, np.ones(n))
+        plain = multipliers_along(maps, trivial, np.ones(n), known_product)
     np.testing.assert_allclose(found.others.logs, plain.others.logs, rtol=1e-11, atol=1e-9)
     np.testing.assert_allclose(found.trivial.values, plain.trivial.values, rtol=0, atol=1e-6)  # double ones
     np.testing.assert_allclose(found.rounding, plain.rounding, rtol=1e-3, atol=1e-300)

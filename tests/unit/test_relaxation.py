@@ -75,6 +75,27 @@ def test_the_multiplier_of_a_burst_that_passes_zero_ends_at_a_period_doubling() 
         np.testing.assert_allclose(others[np.argmax(np.abs(others))], expected, rtol=1e-6)
 
 
+@pytest.mark.slow
+def test_tiny_multipliers_along_a_canard_are_those_of_the_divergence_within_their_errors() -> None:
+    """From e^-30 to e^-480, where maps that stretch by 1e17 have lost them and the sign of their determinant."""
+    x, y, a = symbols("x y a")
+    model = OdeModel("canard", ca.vertcat(x, y), ca.vertcat((y - x**3 / 3 + x) / 0.01, a - x), a)
+    rest = find_equilibrium(model, [1.1, -0.6], parameters={"a": 1.1}).follow("a", 0.9)
+    branch = from_hopf(rest, 0, "a", 0.5, stability=True)
+    assert not branch.unresolved
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    for orbit in branch.solutions[20:]:
+        edges = orbit.mesh / orbit.mesh[-1] * orbit.period
+        half = 0.5 * np.diff(edges)
+        times = edges[:-1, None] + half[:, None] * (1.0 + nodes)
+        divergence = (1.0 - orbit.evaluate(times.ravel())[:, 0].reshape(times.shape) ** 2) / 0.01
+        exponents = orbit.floquet().exponents
+        (log,), (error,) = exponents.values.real, exponents.noise
+        assert exponents.values.imag == 0.0
+        assert abs(log - half @ divergence @ weights) <= error + 1e-7
+        assert error < 1e-3
+
+
 def test_a_fold_at_which_the_rate_of_the_parameter_is_rounding_is_no_branch_point() -> None:
     """In the canard of FitzHugh and Nagumo's equations I moves by 1e-11 where the multiplier goes from 16 to 0.1.
 
@@ -175,6 +196,12 @@ def test_a_doubling_beside_each_fold_near_a_homoclinic_orbit_is_found_or_its_str
     named = np.min(np.abs(folds[2:, None, None] - ends), axis=(1, 2)) < 1e-12
     assert np.all((beside == 1) | named)
     assert np.all(beside[:9] == 1)
+    for point in branch.special_points:
+        critical = {"fold": 1.0, "period doubling": -1.0}.get(point.kind)
+        floquet = point.solution.floquet()
+        if critical is not None:
+            off = np.abs(floquet.others - critical)
+            assert off.min() <= floquet.other_errors[off.argmin()]
 
 
 def autocatalator() -> OdeModel:
