@@ -128,7 +128,9 @@ def _is_same(one: Event, other: Event) -> bool:
 
 
 class _OrbitSearch(Search):
-    """The search on one stretch between two orbits."""
+    """The search on one stretch between two orbits; where one was sought errors of multipliers have it `hidden`."""
+
+    hidden = False
 
     def __init__(self, space: BoundarySpace, sampler: ExponentSampler) -> None:
         (before, _), (after, _) = sampler.ends
@@ -191,6 +193,8 @@ class _OrbitSearch(Search):
             return None
         located = (self.located(stretch, passage) for passage in passages)
         known: list[Event] = sorted((event for event in located if event is not None), key=lambda event: event.place)
+        if self.hidden and len(known) < len(passages):
+            return [*known, *self.given_up(stretch)]
         twice = any(_is_same(one, other) and one.jump != other.jump for one, other in pairwise(known))
         return None if twice or len(known) < len(passages) else known
 
@@ -270,9 +274,10 @@ class _Free(_OrbitSearch):
         return self.sampler.free(point)
 
     def event(self, stretch: SampledStretch, point: Point | None, passage: Crossing) -> Event | None:
-        """As above; none where errors of multipliers are as large as these."""
+        """As above; none where errors of multipliers are as large as these: parts of the stretch have none either."""
         event = super().event(stretch, point, passage)
-        return None if event is None or event.solution.floquet().exponents.beyond is None else event
+        self.hidden = event is not None and event.solution.floquet().exponents.beyond is None
+        return None if self.hidden else event
 
     def passages(self, stretch: SampledStretch) -> Iterator[Crossing]:
         found = list(stretch.crossings(CROSSING_KINDS))
