@@ -97,19 +97,16 @@ class LocalCurve:
         """Derivative dz/dsigma, of one shape with `at`."""
         return np.asarray(_powers(sigma, self._derivative.shape[0]) @ self._derivative)
 
-    def crossings(self, index: int, values: Iterable[float], end: float | None = None) -> list[tuple[float, float]]:
-        """All (sigma, value) with sigma in (0, end] at which component `index` equals one of `values`, ascending.
-
-        `end` is the length of the curve by default.
-        """
-        end, found = self.length if end is None else end, list[tuple[float, float]]()
-        scaled = self.coefficients[:, index] * end ** np.arange(self.coefficients.shape[0])
+    def crossings(self, index: int, values: Iterable[float]) -> list[tuple[float, float]]:
+        """All (sigma, value) on the curve at which component `index` equals one of `values`, ascending."""
+        found = list[tuple[float, float]]()
+        scaled = self.coefficients[:, index] * self.length ** np.arange(self.coefficients.shape[0])
         heights = _to_bernstein(scaled.size) @ scaled  # the course lies between the least and the largest of these
         margin = REACH_MARGIN * (np.arange(scaled.size) @ np.abs(scaled))
         for value in values:
             if margin > 0.0 and np.min(heights) - margin <= value <= np.max(heights) + margin:
                 roots = _roots_within(np.append(scaled[0] - value, scaled[1:]))
-                found += [(end * place, value) for place in roots]
+                found += [(self.length * place, value) for place in roots]
         return sorted(found)
 
 

@@ -24,7 +24,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -188,11 +188,7 @@ class Augmented(Problem):
         entries: tuple[Indices, Indices, Indices] = self.kept("entries", made)
         return entries
 
-    def times(self, nonzeros: Array, step: Array) -> Array:
-        return Problem.times(self, nonzeros, step)
-
-    def null_vector(self, z: Array, solve: Solve, weights: Array) -> tuple[Array, bool]:
-        return Problem.null_vector(self, z, solve, weights)
+    times, null_vector = Problem.times, Problem.null_vector  # whose rows are not those of collocation alone
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
         at = z.tobytes() + self.numbers.tobytes()
@@ -547,11 +543,10 @@ class Border:
 
         Raises SingularError.
         """
-        (nl, nr), p, q, generator = shape, rows.size, columns.size, np.random.default_rng(0)
+        (nl, nr), p, q = shape, rows.size, columns.size
         scaled = Triplets(B.values * columns[B.columns] / rows[B.rows], B.rows, B.columns)
-        L, R = generator.normal(size=(p, nl)), generator.normal(size=(q, nr))
-        K = scaled + _blocks((0, q, L), (p, 0, LONG_ROW_FACTOR * R.T))
-        b, c = np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]), np.vstack([np.zeros((q, nl)), np.eye(nl)])
+        L, border, b, c = _general(p, q, nl, nr)
+        K = scaled + border
         found = None if condensed is None else condensed(K, b, c)
         found = found or (_sparse if is_mostly_zero(q + nl, K.values.size) else _dense)(K, b, c)
         right, left = found[0][:q], found[1][:p]
@@ -560,6 +555,15 @@ class Border:
         products = scaled.values[:, None, None] * left[scaled.rows][:, :, None] * right[scaled.columns][:, None, :]
         G = -np.sum(products, axis=0)  # as good as both vectors together
         return cls(G, np.linalg.norm(products, axis=0), right * columns[:, None], left / rows[:, None], L[:, 0] * rows)
+
+
+@lru_cache(maxsize=8)
+def _general(p: int, q: int, nl: int, nr: int) -> tuple[Array, Triplets, Array, Array]:
+    """L; L and R^T, with their places; and the right-hand sides b and c: of every matrix of one shape."""
+    generator = np.random.default_rng(0)
+    L, R = generator.normal(size=(p, nl)), generator.normal(size=(q, nr))
+    b, c = np.vstack([np.zeros((p, nr)), LONG_ROW_FACTOR * np.eye(nr)]), np.vstack([np.zeros((q, nl)), np.eye(nl)])
+    return L, _blocks((0, q, L), (p, 0, LONG_ROW_FACTOR * R.T)), b, c
 
 
 def _sparse(K: Triplets, b: Array, c: Array) -> BothWays:

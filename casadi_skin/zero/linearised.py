@@ -247,14 +247,18 @@ class Linearised:
 
     def twisted(self, multiple: int = 1) -> Any:
         """The derivative of the equations of the state alone, for v(1) = exp(i multiple angle) turn v(0), sparse."""
-        from scipy.sparse import csc_matrix, eye, hstack, vstack
+        from scipy.sparse import csc_matrix
 
-        n, turn, half = self.components, self.turn, self.angle == np.pi
+        n, turn, half, discretisation = self.components, self.turn, self.angle == np.pi, self.problem.discretisation
         factor = complex(np.exp(1j * multiple * self.angle))
         number = (-1.0) ** multiple if half else factor.real if factor.imag == 0.0 else factor
-        start = csc_matrix(-number * (np.eye(n) if turn is None or not turn.size else turn))
-        closing = hstack([start, csc_matrix((n, self.states - 2 * n)), eye(n)])
-        return vstack([self.matrix[: self.inner, : self.states], closing]).tocsc()
+        start, every = -number * (np.eye(n) if turn is None or not turn.size else turn), np.arange(n)
+        inside = (discretisation.rows < self.inner) & (discretisation.columns < self.states)
+        own, at = discretisation(self.z, self.problem.numbers)[1][inside], np.nonzero(start)
+        rows = np.concatenate([discretisation.rows[inside], self.inner + at[0], self.inner + every])
+        columns = np.concatenate([discretisation.columns[inside], at[1], self.states - n + every])
+        data = np.concatenate([own, start[at], np.ones(n)])
+        return csc_matrix((data, (rows, columns)), shape=(self.states, self.states))
 
     def _increments(self, values: Vector) -> Vector:
         """Contribution of values at the stages, (components, stages), to the equations of collocation."""

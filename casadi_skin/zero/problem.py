@@ -400,6 +400,10 @@ class Problem(ABC):
         """Place of an equation, counted from 0, in words; transcriptions describe it in more detail."""
         return f"equation {equation + 1} of {self.size - 1}"
 
+    def _place(self, equation: int, z: Array) -> str:
+        """The same at z."""
+        return self.place(equation)
+
     def describe_parameters(self, z: Array) -> str:
         """Which solution z is, in words."""
         return f"Omega = {self.frequency(z):.10g}, parameter = {z[self.parameter_index]:.10g}"
@@ -411,7 +415,10 @@ class Problem(ABC):
         except ArithmeticError as error:
             return str(error)
         equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
-        return f"largest residual {residual[equation]:.1e} at {self.place(equation)}, {self.describe_parameters(z)}"
+        if residual[equation] == 0.0:
+            return self.describe_parameters(z)
+        size = f"largest residual {residual[equation]:.1e}" if np.isfinite(residual[equation]) else "not finite"
+        return f"{size} at {self._place(equation, z)}, {self.describe_parameters(z)}"
 
     def relative_residual(self, z: Array) -> float:
         """Largest residual of the equations relative to their largest term."""

@@ -212,18 +212,6 @@ class BoundaryProblem(CollocationEquations):
         words = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=True))
         return f"with {words}" if words else f"on {self.resolution} intervals"
 
-    def describe_largest_residual(self, z: Array) -> str:
-        """The largest residual at z, the condition or the variable and the place, in words."""
-        try:
-            residual = np.abs(self.evaluate(z)[0])
-        except ArithmeticError as error:
-            return str(error)
-        equation = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
-        if residual[equation] == 0.0:
-            return self.describe_parameters(z)
-        size = f"largest residual {residual[equation]:.1e}" if np.isfinite(residual[equation]) else "not finite"
-        return f"{size} at {self._place(equation, z)}, {self.describe_parameters(z)}"
-
     def backwards(self, z: Array) -> str:
         """That the interval ends before it starts, in words, where its ends are free and do; empty where not."""
         start, end = self.statement.span(self.parameters(z))
