@@ -18,13 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.conserved import symmetry_class
-from casadi_skin.model.expressions import Expression
 from casadi_skin.model.integrators import CvodesError, CvodesOptions, run_cvodes
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.polynomial import Monomials, NotPolynomialError, polynomial_terms
 from casadi_skin.native import kernels, transitions
 from casadi_skin.stability.reduction import blocks_of, frobenius_norms
-from casadi_skin.zero.problem import Array, Indices, Problem
+from casadi_skin.zero.problem import Array, Buffers, Problem
 
 T = TypeVar("T")
 
@@ -138,78 +136,7 @@ def complement(directions: Array) -> Array:
 
 # The sparse derivative of a model's right-hand side along orbits ------------------------------------------------------
 
-PHASES_PER_CALL = 64  # phases a call: enough to hide the cost of a call
-FEW_TERMS = 4  # terms a non-zero up to which numpy is faster than CasADi
-
-
-class _Terms:
-    """Values of polynomials, a few terms each, at many states: numpy takes a tenth of CasADi's time.
-
-    `places` are those of the polynomials among the numbers of a row; constant terms are added to `constant`, a row.
-    """
-
-    def __init__(self, groups: tuple[Monomials, ...], places: Indices, constant: Array) -> None:
-        self._groups = []
-        for group in groups:
-            if group.power == 0 and len(group.factors) == 0:
-                np.add.at(constant, places[group.rows], group.coefficients)
-                continue
-            rows, first = np.unique(group.rows, return_index=True)  # rows ascend
-            starts = None if first.size == group.rows.size else first
-            self._groups.append((group, _columns(places[rows]), starts, [_columns(each) for each in group.factors]))
-
-    def add(self, states: Array, parameters: Array, result: Array) -> None:
-        """Add values at states (phases, size) and the parameter at each, (phases,), to rows (phases, any)."""
-        for group, columns, starts, factors in self._groups:
-            terms = np.multiply.outer(parameters**group.power, group.coefficients)
-            for of_states in factors:
-                terms *= states[:, of_states]
-            result[:, columns] += terms if starts is None else np.add.reduceat(terms, starts, axis=1)
-
-
-def _columns(indices: Indices) -> slice | Indices:
-    """A slice where the indices have equal steps: a view costs nothing, a gather does."""
-    steps = np.unique(np.diff(indices))
-    if steps.size > 1 or (steps.size and steps[0] < 1):
-        return indices
-    return slice(int(indices[0]), int(indices[-1]) + 1, int(steps[0]) if steps.size else 1)
-
-
-class _Compiled:
-    """Values of any expressions at many states by CasADi, with arrays of our own as its arguments and results."""
-
-    def __init__(self, model: OdeModel, expressions: Expression, places: Indices) -> None:
-        parameters = ca.vec(model.parameters)
-        self._places = places
-        self._states = np.zeros((PHASES_PER_CALL, model.size))
-        self._parameters = np.zeros((PHASES_PER_CALL, int(parameters.numel())))
-        self._values = np.zeros((PHASES_PER_CALL, int(expressions.numel())))
-        self._function = ca.Function("J", [model.state, parameters], [expressions]).map(PHASES_PER_CALL)
-        self._buffer, self._trigger = self._function.buffer()
-        self._buffer.set_arg(0, self._states.data)
-        self._buffer.set_arg(1, self._parameters.data)
-        self._buffer.set_res(0, self._values.data)
-
-    def add(self, states: Array, parameters: Array, result: Array) -> None:
-        """As that of `_Terms`."""
-        for first in range(0, parameters.size, PHASES_PER_CALL):
-            these = slice(first, first + PHASES_PER_CALL)
-            count = len(states[these])
-            self._states[:count], self._parameters[:count] = states[these], parameters[these, None]
-            self._trigger()
-            result[these, self._places] += self._values[:count]
-
-
-def _values(model: OdeModel, expressions: ca.SX, places: Indices, constant: Array) -> _Terms | _Compiled:
-    """Those of a column of expressions in state and parameter: polynomials of few terms by numpy."""
-    if isinstance(expressions, ca.SX) and model.parameters.numel() == 1 and model.time is None:
-        try:
-            groups = polynomial_terms(expressions, model.state, model.parameters)
-        except NotPolynomialError:
-            return _Compiled(model, expressions, places)
-        if sum(group.rows.size for group in groups) <= FEW_TERMS * expressions.numel():
-            return _Terms(groups, places, constant)
-    return _Compiled(model, expressions, places)
+PHASES_PER_CALL = 64  # enough to hide the cost of a call
 
 
 class JacobianAlong:
@@ -230,8 +157,10 @@ class JacobianAlong:
         self._constant = np.zeros(moving.size)
         fixed, places = np.flatnonzero(~moving), np.flatnonzero(moving)
         self._constant[fixed] = np.array(ca.evalf(nonzeros[fixed.tolist()])).ravel()
-        expressions = nonzeros[places.tolist()]
-        self._moving = _values(model, expressions, places, self._constant) if places.size else None
+        self._places, self._moving = places, None
+        if places.size:
+            function = ca.Function("J", [model.state, parameters], [nonzeros[places.tolist()]])
+            self._moving = Buffers(function, PHASES_PER_CALL)
 
     def along(self, problem: Problem, z: Array, theta: Array) -> Array:
         """Non-zeros at phases of several orbits z of a problem, shape (orbits, phases, non-zeros)."""
@@ -241,10 +170,12 @@ class JacobianAlong:
 
     def __call__(self, states: Array, parameters: Array) -> Array:
         """Non-zeros, (phases, non-zeros), at states (phases, size), with the parameter's value at each, (phases,)."""
-        result = np.empty((states.shape[0], self.indices.size))
-        result[:] = self._constant
-        if self._moving is not None:
-            self._moving.add(states, parameters, result)
+        result = np.tile(self._constant, (len(states), 1))
+        for first in range(0, len(states), PHASES_PER_CALL) if self._moving is not None else ():
+            rows = result[first : first + PHASES_PER_CALL]
+            these = np.minimum(np.arange(first, first + PHASES_PER_CALL), len(states) - 1)
+            (values,) = self._moving(states[these], parameters[these, None])
+            rows[:, self._places] = values.reshape(PHASES_PER_CALL, -1)[: len(rows)]
         return result
 
     @cached_property
