@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
@@ -61,3 +61,33 @@ def at_places(
     addresses = [np.array([address(array) for array in arrays], dtype=np.int64) for arrays in (arguments, results)]
     program = Structure(PROGRAM, 0, 0, len(listed[0]), *listed)
     return Structure(PLACES, count, together, len(arguments), len(results), program, *sizes, *addresses)
+
+
+class Buffers:
+    """Calls of a compiled function without conversions: arguments and results live in arrays given to it once.
+
+    At several places, `count` of them, every argument has a row for each, or one for all of them, and results follow
+    one another. The arrays of the `results` are the same for all calls. `places` is the function as other kernels take
+    it, asked for where there are several places, or by `listed`; None where there are none or it is not of operations.
+    """
+
+    def __init__(self, function: ca.Function, count: int = 1, listed: bool = False) -> None:
+        self._arguments = [np.zeros((count, function.nnz_in(i))) for i in range(function.n_in())]
+        self.results = [np.zeros(count * function.nnz_out(i)) for i in range(function.n_out())]
+        asked = listed or count > 1
+        self.places = at_places(function, self._arguments, self.results, count) if asked else None
+        if self.places is not None:
+            self._trigger = partial(kernels()["at_places"], self.places)
+            return
+        self._buffer, self._trigger = (function.map(count) if count > 1 else function).buffer()
+        for i, argument in enumerate(self._arguments):
+            self._buffer.set_arg(i, argument.data)
+        for i, result in enumerate(self.results):
+            self._buffer.set_res(i, result.data)
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """The results, non-zeros by columns; they are overwritten by the next call."""
+        for own, given in zip(self._arguments, arguments, strict=True):
+            own[:] = given
+        self._trigger()
+        return self.results

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from enum import Enum
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Any, Protocol, Self, TypeVar
 
 import casadi as ca
@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.native import kernels
-from casadi_skin.native.places import at_places
+from casadi_skin.native.places import Buffers as Buffers
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]  # of eight bytes, or of four where there are very many
@@ -64,36 +63,6 @@ def sparse_matrix(shape: tuple[int, int], rows: Indices, columns: Indices, value
     colind = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=shape[1]))])
     sparsity = ca.Sparsity(shape[0], shape[1], colind.tolist(), rows[order].tolist())
     return ca.MX(sparsity, values[order.tolist()])
-
-
-class Buffers:
-    """Calls of a compiled function without conversions: arguments and results live in arrays given to it once.
-
-    At several places, `count` of them, every argument has a row for each, or one for all of them, and results follow
-    one another. The arrays of the `results` are the same for all calls. `places` is the function as other kernels take
-    it, asked for where there are several places, or by `listed`; None where there are none or it is not of operations.
-    """
-
-    def __init__(self, function: ca.Function, count: int = 1, listed: bool = False) -> None:
-        self._arguments = [np.zeros((count, function.nnz_in(i))) for i in range(function.n_in())]
-        self.results = [np.zeros(count * function.nnz_out(i)) for i in range(function.n_out())]
-        asked = listed or count > 1
-        self.places = at_places(function, self._arguments, self.results, count) if asked else None
-        if self.places is not None:
-            self._trigger = partial(kernels()["at_places"], self.places)
-            return
-        self._buffer, self._trigger = (function.map(count) if count > 1 else function).buffer()
-        for i, argument in enumerate(self._arguments):
-            self._buffer.set_arg(i, argument.data)
-        for i, result in enumerate(self.results):
-            self._buffer.set_res(i, result.data)
-
-    def __call__(self, *arguments: Array) -> list[Array]:
-        """The results, non-zeros by columns; they are overwritten by the next call."""
-        for own, given in zip(self._arguments, arguments, strict=True):
-            own[:] = given
-        self._trigger()
-        return self.results
 
 
 class Problem(ABC):
