@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.arguments import cut
 from casadi_skin.model.equations import Array, Equations
 from casadi_skin.model.operations import operated, read
-from casadi_skin.native import kernels
-from casadi_skin.native.places import at_places
+from casadi_skin.native.places import Buffers
 
 Booleans: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.int64]
@@ -312,31 +311,14 @@ def _jumping(field: Values, start: Array, end: Array, before: Array, after: Arra
 
 
 def _on_rows(function: ca.Function, states: int) -> Values:
-    """A function (t, x, p) at places (t, x, p), one a row; for each number of places it is compiled once."""
-    known = dict[int, Values]()
+    """A function (t, x, p) with one dense result at places (t, x, p), one a row."""
+    known = dict[int, Buffers]()  # by the number of places
 
     def values(places: Array) -> Array:
-        if len(places) not in known:
-            known[len(places)] = _on_so_many(function, states, len(places))
-        return known[len(places)](places)
-
-    return values
-
-
-def _on_so_many(function: ca.Function, states: int, count: int) -> Values:
-    """The same at `count` places, by the kernel where the function is of operations."""
-    parts = slice(0, 1), slice(1, 1 + states), slice(1 + states, None)
-    arguments, found = [np.zeros((count, function.nnz_in(i))) for i in range(3)], np.zeros((count, function.nnz_out(0)))
-    dense = function.nnz_out(0) == function.numel_out(0)
-    compiled = at_places(function, arguments, [found], count) if dense else None
-    mapped = function.map(count) if compiled is None and count > 1 else function
-
-    def values(places: Array) -> Array:
-        if compiled is None:
-            return np.array(mapped(*(places.T[part] for part in parts))).T
-        for argument, part in zip(arguments, parts, strict=True):
-            argument[:] = places[:, part]
-        kernels()["at_places"](compiled)
-        return found.copy()
+        count = len(places)
+        if count not in known:
+            known[count] = Buffers(function, count)
+        (found,) = known[count](*np.split(places, [1, 1 + states], axis=1))
+        return found.reshape(count, -1).copy()
 
     return values
