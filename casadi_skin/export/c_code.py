@@ -11,7 +11,16 @@ from pathlib import Path
 from types import MappingProxyType
 
 from casadi_skin._version import __version__
-from casadi_skin.export.codegen import LIBM_HEADERS, MOST_ENTRIES, CSource, Part, c_source, check_parts, comment, plain
+from casadi_skin.export.codegen import (
+    LIBM_HEADERS,
+    MOST_ENTRIES,
+    Part,
+    c_source,
+    check_parts,
+    comment,
+    plain,
+    prototype,
+)
 from casadi_skin.export.exported_model import (
     EXPORTED_PARTS,
     ExportedModel,
@@ -333,18 +342,19 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
     parts = {"model": model_part(exported), **{what: PART_MAKERS[what](exported) for what in chosen}}
     name, every = exported.name, list(parts.values())
     plainly = [part for what, part in parts.items() if what != "ipopt"]
-    generated = c_source(f"{name}_generated", [f for part in plainly for f in part.functions])
+    generated = [function for part in plainly for function in part.functions]
     templates = [stem for part in every for stem in part.files]
     texts = {
         f"{name}.h": _header(exported, every),
-        f"{name}.c": _definitions(plainly, generated),
-        **({f"{name}_generated.c": generated.text} if generated.functions else {}),
+        f"{name}.c": _definitions(plainly),
+        **({f"{name}_generated.c": c_source(f"{name}_generated", generated)} if generated else {}),
         **{f"{name}_{stem}.c": _template(stem) for stem in templates},
         "main.c": main_text(exported, chosen),
     }
     if "ipopt" in parts:
-        own = c_source(f"{name}_ipopt_generated", parts["ipopt"].functions, LIBM_HEADERS | {IPOPT_HEADER})
-        texts |= {f"{name}_ipopt.c": _definitions([parts["ipopt"]], own), f"{own.name}.c": own.text}
+        own = f"{name}_ipopt_generated"
+        text = c_source(own, parts["ipopt"].functions, LIBM_HEADERS | {IPOPT_HEADER})
+        texts |= {f"{name}_ipopt.c": _definitions([parts["ipopt"]]), f"{own}.c": text}
     sources = [file for file in texts if file.endswith(".c")]
     texts |= {
         "CMakeLists.txt": cmake_text(name, sources),
@@ -381,8 +391,8 @@ CPLUSPLUS_OPEN = '#ifdef __cplusplus\nextern "C" {\n#endif\n'
 CPLUSPLUS_CLOSE = "#ifdef __cplusplus\n}\n#endif\n"
 
 
-def _definitions(parts: list[Part], generated: CSource) -> str:
-    prototypes = [f"{function.prototype};" for function in generated.functions]
+def _definitions(parts: list[Part]) -> str:
+    prototypes = [f"{prototype(function)};" for part in parts for function in part.functions]
     about = comment("Tables, and plain functions around the generated ones.")
     texts = [definition for part in parts for definition in part.definitions]
     return "\n\n".join([f'{about}\n\n#include "@p.h"', "#include <math.h>", *prototypes, *texts]) + "\n"

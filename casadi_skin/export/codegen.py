@@ -51,39 +51,13 @@ class CodegenError(ValueError):
     """A function that cannot be written as C, named in one line."""
 
 
-@dataclass(frozen=True)
-class CFunction:
-    """One function in a source: its C name, numbers of arguments and results, and lengths of its work arrays.
+def prototype(function: ca.Function) -> str:
+    """The declaration in C of a function in a source, without a semicolon.
 
-    It is called as `int NAME(const double **arg, double **res, long long *iw, double *w, int mem)` with mem = 0 and
-    returns 0. `arg[i]` and `res[i]` point to the non-zeros of argument and result i, by columns; arg, res, iw and w
-    hold sz_arg, sz_res, sz_iw and sz_w entries.
+    It is called with mem = 0 and returns 0. `arg[i]` and `res[i]` point to the non-zeros of argument and result i, by
+    columns; arg, res, iw and w hold as many entries as its sz_arg(), sz_res(), sz_iw() and sz_w().
     """
-
-    name: str
-    nnz_in: tuple[int, ...]
-    nnz_out: tuple[int, ...]
-    sz_arg: int
-    sz_res: int
-    sz_iw: int
-    sz_w: int
-
-    @property
-    def prototype(self) -> str:
-        """Its declaration, without a semicolon."""
-        return f"int {self.name}(const double **arg, double **res, long long int *iw, double *w, int mem)"
-
-
-@dataclass(frozen=True)
-class CSource:
-    """A C99 translation unit and the functions in it; `text` has no dependency but libm unless one was allowed."""
-
-    name: str
-    text: str
-    functions: tuple[CFunction, ...]
-
-    def __getitem__(self, name: str) -> CFunction:
-        return next(function for function in self.functions if function.name == name)
+    return f"int {function.name()}(const double **arg, double **res, long long int *iw, double *w, int mem)"
 
 
 def c_name(words: str) -> str:
@@ -96,7 +70,7 @@ def c_name(words: str) -> str:
     return stem if stem[0].isalpha() and stem not in C_KEYWORDS | SYSTEM_HEADERS else f"m_{stem}"
 
 
-def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[str] = LIBM_HEADERS) -> CSource:
+def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[str] = LIBM_HEADERS) -> str:
     """The functions, each under its own name, as one C99 source for a file NAME.c.
 
     Symbols beside the functions begin with NAME. `headers` are the system headers that the source may need.
@@ -118,14 +92,7 @@ def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[st
     for header in re.findall(r"#include <(.+?)>", text):
         if header not in headers:
             raise CodegenError(f"{name}: needs {header}; accepted: functions that need libm only")
-    return CSource(name, _in_short_blocks(text), tuple(_described(function) for function in functions))
-
-
-def _described(function: ca.Function) -> CFunction:
-    nnz_in = tuple(int(function.nnz_in(i)) for i in range(function.n_in()))
-    nnz_out = tuple(int(function.nnz_out(i)) for i in range(function.n_out()))
-    sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
-    return CFunction(function.name(), nnz_in, nnz_out, *(int(size) for size in sizes))
+    return _in_short_blocks(text)
 
 
 def check_parts(function: ca.Function) -> None:

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casadi_skin.export.codegen import c_source
+from casadi_skin.export.codegen import c_source, prototype
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import Array
@@ -315,7 +315,7 @@ class Equations:
 
     def source(self) -> str:
         """C99 of all functions; raises ValueError where CasADi cannot generate it, as for a model that is a program."""
-        return c_source(f"{self.identifier}_equations", self.functions).text
+        return c_source(f"{self.identifier}_equations", self.functions)
 
 
 def _pattern(sparsity: ca.Sparsity) -> Pattern:
@@ -366,7 +366,6 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
     functions, model = equations.functions, problem.model
     bounds = [problem.bounds.get(name, (-math.inf, math.inf)) for name in model.parameter_names]
     sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
-    arguments = "(const double **arg, double **res, casadi_int *iw, double *w, int memory)"
     arrays = {
         "START_STATES": problem.start,
         "NOMINALS": problem.nominals,
@@ -385,7 +384,7 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
         f"NY = {len(model.outputs)} }};",
         f"enum {{ {', '.join(f'{name.upper()} = {value}' for name, value in sizes.items())} }};\n",
         "typedef long long int casadi_int;",
-        *(f"int {f.name()}{arguments};" for f in functions),
+        *(f"{prototype(f)};" for f in functions),
         *(f"#define MODEL_{role.upper()} {f.name()}" for role, f in zip(FUNCTION_ROLES, functions, strict=True)),
         "",
         *(_array(name, values) for name, values in arrays.items()),

@@ -13,6 +13,7 @@ import numpy as np
 from casadi_skin.model.equations import Array
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native.places import Buffers
 
 LONGEST_EVOLUTION = 1e8  # radians that may be followed: a thousand times 10^4 periods of a chain
 NOT_FINITE = "it is not finite then"
@@ -284,17 +285,10 @@ def solve_dop853(
     """
     from scipy.integrate import solve_ivp
 
-    time, state, result = np.empty(1), np.empty(start.size), np.empty(start.size)
-    held = np.array(parameters, dtype=float)
-    buffer, evaluate = field.buffer()  # arguments and result live in arrays of our own: calls convert nothing
-    for i, argument in enumerate((time, state, held)):
-        buffer.set_arg(i, argument.data)
-    buffer.set_res(0, result.data)
+    call = Buffers(field)
 
     def right_hand_side(t: float, x: Array) -> Array:
-        time[0], state[:] = rate * t, x
-        evaluate()
-        return rate * result
+        return rate * call(rate * t, x, parameters)[0]
 
     options: dict[str, Any] = {"rtol": tolerance, "atol": tolerance * size_of(start), "dense_output": t is None}
     with np.errstate(all="ignore"):  # a state that runs away overflows before the step is found too small

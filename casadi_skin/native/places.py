@@ -85,7 +85,7 @@ class Buffers:
         for i, result in enumerate(self.results):
             self._buffer.set_res(i, result.data)
 
-    def __call__(self, *arguments: Array) -> list[Array]:
+    def __call__(self, *arguments: Array | float) -> list[Array]:
         """The results, non-zeros by columns; they are overwritten by the next call."""
         for own, given in zip(self._arguments, arguments, strict=True):
             own[:] = given

@@ -157,10 +157,8 @@ class JacobianAlong:
         self._constant = np.zeros(moving.size)
         fixed, places = np.flatnonzero(~moving), np.flatnonzero(moving)
         self._constant[fixed] = np.array(ca.evalf(nonzeros[fixed.tolist()])).ravel()
-        self._places, self._moving = places, None
-        if places.size:
-            function = ca.Function("J", [model.state, parameters], [nonzeros[places.tolist()]])
-            self._moving = Buffers(function, PHASES_PER_CALL)
+        function = ca.Function("J", [model.state, parameters], [nonzeros[places.tolist()]])
+        self._places, self._moving = places, Buffers(function, PHASES_PER_CALL) if places.size else None
 
     def along(self, problem: Problem, z: Array, theta: Array) -> Array:
         """Non-zeros at phases of several orbits z of a problem, shape (orbits, phases, non-zeros)."""
@@ -171,7 +169,9 @@ class JacobianAlong:
     def __call__(self, states: Array, parameters: Array) -> Array:
         """Non-zeros, (phases, non-zeros), at states (phases, size), with the parameter's value at each, (phases,)."""
         result = np.tile(self._constant, (len(states), 1))
-        for first in range(0, len(states), PHASES_PER_CALL) if self._moving is not None else ():
+        if self._moving is None:
+            return result
+        for first in range(0, len(states), PHASES_PER_CALL):
             rows = result[first : first + PHASES_PER_CALL]
             these = np.minimum(np.arange(first, first + PHASES_PER_CALL), len(states) - 1)
             (values,) = self._moving(states[these], parameters[these, None])
