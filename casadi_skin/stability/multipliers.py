@@ -33,7 +33,6 @@ from casadi_skin.stability.reduction import (
     with_reversed_blocks,
 )
 from casadi_skin.stability.result import (
-    Booleans,
     ContinuousSpectrum,
     CutTail,
     Floquet,
@@ -43,8 +42,6 @@ from casadi_skin.stability.result import (
 )
 from casadi_skin.zero.problem import Array, Indices
 
-LARGE_EIGENVALUE_COUNT = 128  # eigenvalues from which on only those that are close are coupled
-DECIDING_COUPLING = 0.01  # of an eigenvalue's error otherwise: couplings that matter
 MACHINE_EPSILON = float(np.finfo(float).eps)
 ERROR_FLOOR = 0.1  # of the largest error in an orbit: W_ii can vanish where the error that it stands for does not
 
@@ -59,45 +56,19 @@ def eigenvalue_errors(
         parts: matrices like the errors of the matrices, each (points, m, m), whose moduli of W are added.
         norms: Frobenius norms of all parts together, shape (points,).
         round_off: norms of errors of which nothing more is known, shape (points,).
-
-    Of large matrices W is formed where two eigenvalues can be close enough for their coupling to matter.
     """
-    values = systems.values
-    chosen, large = np.ones(values.shape[1], dtype=bool), values.shape[1] > LARGE_EIGENVALUE_COUNT
+    values, left = systems.values, systems.left
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        images, left = [systems.images(part) for part in parts], np.linalg.norm(systems.left, axis=2)
-        alone = [np.abs(np.einsum("pij,pji->pi", systems.left, image)) for image in images]
-        first = sum(alone) + round_off[:, None] * left
-        rest = first + ERROR_FLOOR * np.max(first, axis=1, keepdims=True)
-        if large:
-            moved = left * (sum(np.linalg.norm(image, axis=1) for image in images) + round_off[:, None])
-            chosen = _close(values.real, moved, DECIDING_COUPLING * rest)
-            rest = (1.0 + DECIDING_COUPLING) * rest
-            values, images = values[:, chosen], [image[:, :, chosen] for image in images]
-        W = sum(np.abs(systems.left[:, chosen] @ image) for image in images)
-        W = W + (round_off[:, None] * left[:, chosen])[:, :, None]
+        each, sizes = [np.abs(left @ systems.images(part)) for part in parts], np.linalg.norm(left, axis=2)
+        alone, by_rounding = np.diagonal(each[0], axis1=1, axis2=2), round_off[:, None] * sizes
+        W = sum(each) + by_rounding[:, :, None]
+        first = np.diagonal(W, axis1=1, axis2=2)
         product, distances = W * W.swapaxes(1, 2), np.abs(values[:, :, None] - values[:, None, :])
         pairs = np.minimum(product / np.maximum(distances, MACHINE_EPSILON), np.sqrt(product))
         np.einsum("pii->pi", pairs)[:] = 0.0
-        rest[:, chosen] += np.max(pairs, axis=2, initial=0.0)
+        found = first + ERROR_FLOOR * np.max(first, axis=1, keepdims=True) + np.max(pairs, axis=2, initial=0.0)
     # A pair moves by the root of the matrix's error at most, when it is defective; W is infinite there.
-    return np.asarray(np.fmin(rest, np.sqrt(norms + round_off)[:, None])), alone[0]
-
-
-def _close(values: Array, moved: Array, matters: Array) -> Booleans:
-    """Which eigenvalues, by ascending real parts, have another within the distance at which their coupling matters.
-
-    |W_ik| is at most the norm of the left vector times that of the image of the right one: |W_ik W_ki| is at most
-    `moved`[i] `moved`[k]. All arrays have shape (points, m); one result for all points.
-    """
-    radius = moved * np.max(moved, axis=1, keepdims=True) / matters
-    chosen = np.zeros(values.shape[1], dtype=bool)
-    for at, within in zip(values, np.where(np.isnan(radius), np.inf, radius), strict=True):
-        low, high = np.searchsorted(at, at - within, "left"), np.searchsorted(at, at + within, "right")
-        starts, ends = low[high - low > 1], high[high - low > 1]
-        edges = np.bincount(starts, minlength=at.size + 1) - np.bincount(ends, minlength=at.size + 1)
-        chosen |= np.cumsum(edges)[: at.size] > 0
-    return chosen
+    return np.asarray(np.fmin(found, np.sqrt(norms + round_off)[:, None])), alone
 
 
 ORBIT_SAFETY = 2.0

@@ -30,7 +30,7 @@ from casadi_skin.stability.flows import (
     Transition,
     srkn_coefficients,
 )
-from casadi_skin.stability.multipliers import LARGE_EIGENVALUE_COUNT, eigenvalue_errors, floquet
+from casadi_skin.stability.multipliers import eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, half_cosines
 from casadi_skin.stability.result import Floquet, reversible_floquet
 from casadi_skin.zero.family import family_request
@@ -328,34 +328,6 @@ def test_eigenvalues_that_nearly_meet_move_no_farther_than_their_errors(gap: flo
         moved = apart(systems.values[0], np.linalg.eigvals(matrix + change))
         assert np.all(moved <= 1.5 * bounds)
         assert bounds.min() <= 100 * moved.max()
-
-
-def test_couplings_that_are_left_out_of_large_matrices_do_not_matter() -> None:
-    """Beside all couplings of dense matrices with pairs that nearly meet, and with conjugate ones."""
-    generator = np.random.default_rng(6)
-    size = LARGE_EIGENVALUE_COUNT + 40
-    values = np.sort(generator.uniform(-1.0, 0.0, size))
-    values[1:20:2] = values[:19:2] + 10.0 ** -np.arange(3.0, 13.0)
-    D = np.diag(values)
-    for k in range(40, 60, 4):
-        D[k, k + 1], D[k + 1, k], D[k + 1, k + 1] = 1e-3, -1e-3, D[k, k]
-    X = np.eye(size) + 0.02 * generator.normal(size=(size, size))
-    ((_, systems),) = Eigensystems.groups(np.stack([X @ D @ np.linalg.inv(X), X.T @ D @ np.linalg.inv(X.T)]))
-    assert np.count_nonzero(systems.values.imag) == 20
-    parts = [10.0**-k * generator.normal(size=(2, size, size)) for k in (8, 9)]
-    norms, round_off = np.full(2, 1e-6), np.full(2, 1e-14)
-    found, alone = eigenvalue_errors(systems, parts, norms, round_off)
-    W = sum(np.abs(systems.left @ part @ systems.right) for part in parts)
-    W = W + (round_off[:, None] * np.linalg.norm(systems.left, axis=2))[:, :, None]
-    first = np.diagonal(W, axis1=1, axis2=2)
-    distance = np.abs(systems.values[:, :, None] - systems.values[:, None, :]) + np.eye(size)
-    product = W * W.swapaxes(1, 2)
-    pairs = np.minimum(product / distance, np.sqrt(product)) * (1.0 - np.eye(size))
-    total = np.fmin(first + 0.1 * np.max(first, axis=1, keepdims=True) + np.max(pairs, axis=2), 1e-3)
-    np.testing.assert_allclose(found, total, rtol=0.011)
-    assert np.max(np.max(pairs, axis=2) / first) > 0.5  # some couplings do matter
-    own = np.diagonal(np.abs(systems.left @ parts[0] @ systems.right), axis1=1, axis2=2)
-    np.testing.assert_allclose(alone, own, rtol=1e-9, atol=1e-20)
 
 
 @pytest.mark.parametrize("power", [1, 2])

@@ -293,8 +293,9 @@ class Matrices:
 
     @property
     def rough(self) -> Booleans:
-        """Which have series that leave out too much."""
-        return are_rough(self.parts, self.tails)
+        """Which have series that leave out too much of their largest entries."""
+        largest = np.max(np.abs(self.parts), axis=(1, 3, 4))
+        return np.asarray(np.any(self.tails > BLOCK_ENTRY_RTOL * largest, axis=1))
 
 
 def tails_of(k: Numbers) -> Array:
@@ -302,11 +303,6 @@ def tails_of(k: Numbers) -> Array:
     last = chebyshev.transform(k.shape[1] - 1)[-chebyshev.TAIL_COEFFICIENTS :]
     left_out = np.sum(np.abs(chebyshev.combined(last, k)), axis=1)
     return np.asarray(np.sqrt(np.sum(left_out**2, axis=(2, 3))))
-
-
-def are_rough(k: Numbers, tails: Array) -> Booleans:
-    """Which series of matrices of blocks leave out too much of their largest entries."""
-    return np.asarray(np.any(tails > BLOCK_ENTRY_RTOL * np.max(np.abs(k), axis=(1, 3, 4)), axis=1))
 
 
 @dataclass(frozen=True)
@@ -361,14 +357,6 @@ class Blocks:
             mu, owners = columns[i[:, None], members], self.rows[i]
             is_real = np.all(self.real[owners[:, None], mu], axis=1)
             yield Matrices(first + owners, mu, is_real, bounds[owners], k, change, noise[owners] * scales, tails_of(k))
-
-    def finer(self, i: int, columns: Indices, matrices: Array) -> Numbers | None:
-        """K, P and Q on the columns (c,) of whole blocks of one interval from the matrices at more nodes, if found."""
-        same, columns = self.labels[i, :, None] == self.labels[i, None, :], columns[None]
-        basis, inverse = self.basis[i][None], self.inverse[i][None]
-        K = inverse[:, None] @ applied(matrices[None, :, 0], basis[:, None])
-        forms = decoupled(K, same[None], columns, self.near[i][None], basis, inverse, matrices[None], None)
-        return forms.values[0] if forms.found[0] else None
 
 
 def blocks_of(matrices: Array, errors: Array) -> list[tuple[Indices, Blocks]]:

@@ -25,8 +25,6 @@ NEGLIGIBLE_COEFFICIENT = (
     1e-14  # of the largest coefficient: smaller ones are left out of the eigenvalue problem of the zeros
 )
 POLISHING_STEPS = 4  # steps of Newton's method on zeros
-INTERVAL_PARTS = 4  # of [-1, 1], on each of which most functions are monotonic or have no zero
-CLEAR_MEAN_RATIO = 0.99  # of a mean: variations that leave no zero, nor one just outside or beside the real axis
 TAIL_COEFFICIENTS = 3  # coefficients whose sum shows how far a series is from converged
 
 
@@ -80,20 +78,16 @@ def tail(coefficients: Array) -> Array:
     return np.asarray(np.sum(np.abs(coefficients[-TAIL_COEFFICIENTS:]), axis=0))
 
 
-def excludes_zero(coefficients: Array, margin: float = 1.0) -> NDArray[np.bool_]:
-    """Which functions have certainly no zero in [-1, 1]: coefficients (degree + 1, ...) -> (...).
-
-    With a margin below 1 the variations about the mean are less than that part of it.
-    """
-    return np.asarray(margin * np.abs(coefficients[0]) > np.sum(np.abs(coefficients[1:]), axis=0))
+def excludes_zero(coefficients: Array) -> NDArray[np.bool_]:
+    """Which functions have certainly no zero in [-1, 1]: coefficients (degree + 1, ...) -> (...)."""
+    return np.asarray(np.abs(coefficients[0]) > np.sum(np.abs(coefficients[1:]), axis=0))
 
 
 def real_zeros(coefficients: Array) -> tuple[Indices, Array, NDArray[np.bool_]]:
     """Zeros in [-1, 1] of several functions, and where they come near zero without a change of sign.
 
-    The second are real parts of conjugate zeros next to the real axis. A function that has no zero or is monotonic on
-    each of a few parts has no such ones, and as many zeros as changes of sign; the others have those that are
-    eigenvalues of their colleague matrices (Good 1961).
+    The zeros are eigenvalues of colleague matrices (Good 1961); the places without a change of sign are real parts of
+    conjugate ones next to the real axis.
 
     Arguments:
         coefficients: shape (degree + 1, functions).
@@ -101,43 +95,12 @@ def real_zeros(coefficients: Array) -> tuple[Indices, Array, NDArray[np.bool_]]:
     Returns:
         The function of each place, the places, and whether it changes its sign there.
     """
-    simple, of, x = _simple_zeros(coefficients)
-    others = np.flatnonzero(~simple).tolist()
-    zeros = [_by_eigenvalues(coefficients[:, i]) for i in others]
-    crosses = np.concatenate([np.ones(x.size, dtype=bool), *(each.imag == 0.0 for each in zeros)])
-    of = np.concatenate([of, np.repeat(others, [each.size for each in zeros]).astype(np.int64)])
-    x = np.concatenate([x, *(each.real for each in zeros)])
+    zeros = [_by_eigenvalues(column) for column in coefficients.T]
+    of, found = np.repeat(np.arange(len(zeros)), [each.size for each in zeros]), np.concatenate(zeros)
+    crosses, x = found.imag == 0.0, found.real.copy()
     x[crosses] = _polished(coefficients[:, of[crosses]], x[crosses])
     inside = ~crosses | (np.abs(x) <= 1.0 + END_SLACK)
     return of[inside], np.clip(x[inside], -1.0, 1.0), crosses[inside]
-
-
-@cache
-def _parts(degree: int) -> tuple[Array, Array]:
-    """Places in equal parts of [-1, 1], the nodes of each, shape (PARTS, degree + 1), and the polynomials there."""
-    starts = np.linspace(-1.0, 1.0, INTERVAL_PARTS + 1)[:-1, None]
-    places = starts + (nodes(degree) + 1.0) / INTERVAL_PARTS
-    return _kept(places), _kept(basis(places, degree))
-
-
-def _simple_zeros(coefficients: Array) -> tuple[NDArray[np.bool_], Indices, Array]:
-    """Functions without a zero or an extremum near any part, and the function and the place, nearly, of their zeros."""
-    degree = len(coefficients) - 1
-    places, polynomials = _parts(degree)
-    values, slopes = polynomials @ coefficients, polynomials[..., :degree] @ chebder(coefficients)
-    simple = np.ones(coefficients.shape[1], dtype=bool)
-    for parts in zip(values, slopes, strict=True):
-        excluded, monotonic = (excludes_zero(transform(degree) @ each, CLEAR_MEAN_RATIO) for each in parts)
-        simple &= excluded | monotonic
-    values, slopes = values[..., simple], slopes[..., simple]
-    values[0, 0], values[-1, -1] = values[0, 0] - END_SLACK * slopes[0, 0], values[-1, -1] + END_SLACK * slopes[-1, -1]
-    positive = values >= 0.0
-    positive[:-1, -1] = positive[1:, 0]  # parts that touch agree
-    part, which = np.nonzero(positive[:, 0] != positive[:, -1])
-    k = np.argmax(positive[part, 1:, which] != positive[part, :-1, which], axis=1)
-    before, after, x = values[part, k, which], values[part, k + 1, which], places[part, k]
-    share = np.divide(before, before - after, out=np.zeros_like(before), where=before != after)
-    return simple, np.flatnonzero(simple)[which], x + np.clip(share, 0.0, 1.0) * (places[part, k + 1] - x)
 
 
 def _by_eigenvalues(coefficients: Array) -> NDArray[Any]:

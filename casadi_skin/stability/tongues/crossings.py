@@ -19,9 +19,7 @@ from casadi_skin.stability.tongues.blocks import (
     Blocks,
     Booleans,
     Matrices,
-    are_rough,
     blocks_of,
-    tails_of,
 )
 from casadi_skin.stability.tongues.chebyshev import SERIES_DEGREE
 from casadi_skin.stability.tongues.diagram import signatures_of
@@ -30,21 +28,18 @@ from casadi_skin.stability.tongues.interpolation import (
     Gap,
     MatrixSeries,
     Search,
-    errors_of,
     in_words,
-    values_of,
 )
-from casadi_skin.stability.tongues.pairs import FINE_DEGREE, Block, complex_blocks, find_segments, real_blocks
+from casadi_skin.stability.tongues.pairs import Block, complex_blocks, find_segments, real_blocks
 from casadi_skin.stability.tongues.rotation import Spectrum
-from casadi_skin.zero.problem import Array, Indices
+from casadi_skin.zero.problem import Array
 
 SHORTEST_INTERVAL = 1e-9  # of the piece of branch that an interval is a part of: a shorter one is given up
 ENTRIES_AT_A_TIME = 200_000  # of matrices that are taken apart at a time: what stays in the cache of a core
 SHORT_INTERVAL = 1e-3  # of the piece: an interval shorter than that whose linear algebra fails is given up
 BATCH_WORK = 2e7  # work on intervals that are looked at together, from small coordinates on
-FIRST_INTERVALS = 4  # of a series: on fewer few come apart
+FIRST_INTERVALS = 4  # of a series: edges found on the whole of it have a hundred times the error
 LARGE_SERIES_ROWS = 16  # of matrices whose whole series is tried first: four intervals cost more than one in vain
-SMALL_SERIES_ROWS = 6  # of matrices whose series are stacked: most have two intervals each
 NOT_LOOKED_AT = "not looked at: the limit of work is reached"
 MANY_MEET_WORDS = "more than two multipliers meet in one place, as far as errors show"
 
@@ -117,8 +112,7 @@ def first_intervals(series: MatrixSeries) -> list[Interval]:
 class _Part:
     """An interval and what comes out of it: blocks of one or two mu, parts of larger ones, and the rest.
 
-    It is number `place` of those that `apart` are the blocks of. `rough` are blocks whose series need more nodes: their
-    columns, matrices like errors, and bounds on their norms.
+    It is number `place` of those that `apart` are the blocks of.
     """
 
     interval: Interval
@@ -127,7 +121,6 @@ class _Part:
     too_long: bool
     blocks: list[Block] = field(default_factory=list)
     larger: list[Interval] = field(default_factory=list)
-    rough: list[tuple[Indices, Array, Array]] = field(default_factory=list)
 
 
 def _generation(intervals: Sequence[Interval], found: Search, whole: int, known: list[Block]) -> list[Interval]:
@@ -194,28 +187,19 @@ def _take_apart(intervals: Sequence[Interval], found: Search, whole: int) -> lis
                     bundles[some.members.shape[1], is_real].append(some)
     for bundle in bundles.values():
         _sort(parts, Matrices.joined(bundle))
-    for part in parts:
-        if part.rough:
-            _refine(part)
     return parts
 
 
 def _at_nodes(batch: Sequence[Interval]) -> tuple[Array, Array]:
-    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each.
-
-    Small series of one degree are stacked: most have a few intervals each.
-    """
-    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for i, each in enumerate(interval.series for interval in batch):
-        is_small = each.size <= SMALL_SERIES_ROWS
-        groups[(len(each.coefficients), len(each.errors)) if is_small else (id(each),)].append(i)
+    """The matrices of intervals, and matrices like their errors, (intervals, J, 3 or 1, m, m) each."""
+    of_series: dict[int, list[int]] = defaultdict(list)
+    for i, interval in enumerate(batch):
+        of_series[id(interval.series)].append(i)
     shape = len(batch), SERIES_DEGREE + 1, *batch[0].series.coefficients.shape[1:]
     matrices, errors = np.empty(shape), np.empty(shape)
-    for numbers in groups.values():
-        places = np.stack([batch[i].nodes(SERIES_DEGREE) for i in numbers])
-        series = list({id(batch[i].series): batch[i].series for i in numbers}.values())
-        series = series if len(series) == 1 else [batch[i].series for i in numbers]
-        matrices[numbers], errors[numbers] = values_of(series, places), errors_of(series, places)
+    for numbers in of_series.values():
+        series, places = batch[numbers[0]].series, np.stack([batch[i].nodes(SERIES_DEGREE) for i in numbers])
+        matrices[numbers], errors[numbers] = series.at(places), series.errors_at(places)
     return matrices, errors
 
 
@@ -234,28 +218,13 @@ def _sort(parts: Sequence[_Part], those: Matrices) -> None:
         again, rest = again & ~quiet & those.coarse, ~quiet
     for n, part in enumerate(owners):
         if again[n] and rest[n]:
-            part.rough.append((those.members[n], those.errors[n], those.noise[n]))
+            part.too_long = True
         elif not blocks and rest[n]:
             noise = those.noise[n] + those.tails[n]
             part.larger += part.interval.parts_of_block(those.parts[n], those.errors[n], noise)
         elif blocks:
             part.too_long = part.too_long or bool(too_long[n])
             part.blocks += [block for block in blocks[n : n + 1] if block is not None]
-
-
-def _refine(part: _Part) -> None:
-    """Give series of a higher degree to some blocks of an interval, whose parts are then looked at on their own."""
-    fine = part.interval.series.at(part.interval.nodes(FINE_DEGREE))
-    columns = np.concatenate([members for members, _, _ in part.rough])
-    found, first = part.apart.finer(part.place, columns, fine), 0
-    for members, errors, noise in part.rough:
-        inside = slice(first, first + members.size)
-        first += members.size
-        k = None if found is None else found[:, :, inside, inside].real
-        if k is None or are_rough(k[None], tails := tails_of(k[None]))[0]:
-            part.too_long = True
-            return
-        part.larger += part.interval.parts_of_block(k, errors, noise + tails[0])
 
 
 def are_definite(parts: Array) -> Booleans:

@@ -104,42 +104,21 @@ class MatrixSeries:
         return int(self.coefficients.shape[-1])
 
     def at(self, coordinates: Array, parts: int = 3) -> Array:
-        """The matrices, or the first `parts` of them, at coordinates, shape (points, 3 or 1, m, m)."""
-        return np.asarray(values_of([self], coordinates[None], parts)[0])
+        """The matrices, or the first `parts` of them, at coordinates, of shape (..., 3 or 1, m, m)."""
+        weights = chebyshev.basis(self._local(coordinates), len(self.coefficients) - 1)
+        return np.tensordot(weights, self.coefficients[:, :parts], 1)
 
+    def errors_at(self, coordinates: Array) -> Array:
+        """Matrices like the errors, on straight lines between the nodes, alike."""
+        places, x = chebyshev.nodes(len(self.errors) - 1), np.clip(self._local(coordinates), -1.0, 1.0)
+        right = np.clip(np.searchsorted(places, x), 1, places.size - 1)
+        share = ((x - places[right - 1]) / (places[right] - places[right - 1]))[..., None]
+        weights = share * np.eye(places.size)[right] + (1.0 - share) * np.eye(places.size)[right - 1]
+        return np.tensordot(weights, self.errors, 1)
 
-def values_of(series: Sequence[MatrixSeries], coordinates: Array, parts: int = 3) -> Array:
-    """Matrices of series of one degree, or of one series, at coordinates (series, points) -> (series, points, ...)."""
-    coefficients = _stacked([each.coefficients[:, :parts] for each in series])
-    weights = chebyshev.basis(_local(series, coordinates), coefficients.shape[1] - 1)
-    return _weighted(weights, coefficients)
-
-
-def errors_of(series: Sequence[MatrixSeries], coordinates: Array) -> Array:
-    """Matrices like the errors, on straight lines between the nodes, alike."""
-    errors = _stacked([each.errors for each in series])
-    places, x = chebyshev.nodes(errors.shape[1] - 1), np.clip(_local(series, coordinates), -1.0, 1.0)
-    right = np.clip(np.searchsorted(places, x), 1, places.size - 1)
-    share = ((x - places[right - 1]) / (places[right] - places[right - 1]))[..., None]
-    node = np.arange(places.size)
-    return _weighted((node == right[..., None]) * share + (node == right[..., None] - 1) * (1.0 - share), errors)
-
-
-def _local(series: Sequence[MatrixSeries], coordinates: Array) -> Array:
-    """Places in [-1, 1] of coordinates."""
-    start, end = (np.array([[getattr(each, name)] for each in series]) for name in ("start", "end"))
-    return np.asarray((2.0 * coordinates - start - end) / (end - start))
-
-
-def _stacked(arrays: Sequence[Array]) -> Array:
-    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
-
-
-def _weighted(weights: Array, matrices: Array) -> Array:
-    """Sums of matrices (n or 1, J, ...) with weights (n, points, J) -> (n, points, ...)."""
-    rows = weights.reshape(len(matrices), -1, weights.shape[2])
-    flat = rows @ matrices.reshape(*matrices.shape[:2], -1)
-    return np.asarray(flat.reshape(*weights.shape[:2], *matrices.shape[2:]))
+    def _local(self, coordinates: Array) -> Array:
+        """Places in [-1, 1] of coordinates."""
+        return np.asarray((2.0 * coordinates - self.start - self.end) / (self.end - self.start))
 
 
 @dataclass(frozen=True)
