@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
@@ -22,7 +23,6 @@ from casadi_skin.zero.settings import Point
 PLACE_TOLERANCE = 1e-13  # of the way between two solutions, in the place of a passage
 EXTREMUM_TOLERANCE = 1e-5  # the same in that of an extremum, which is flat: its value is right to the square of it
 SMOOTH_VALUE_RTOL = 1e-6  # of the difference of two neighbours: a value that is missed by more was jumped over
-STRETCH_SAMPLES = 33  # places of a stretch at which the cubic through the solutions around it is looked at
 BESIDE_LIMIT = 1e-6  # of the way from a limit to the first solution: a quantity may be 0/0 at the limit itself
 EXTREMUM_LENIENCE = 2.0  # times what the cubic goes beyond its ends: the extremum there may be, to be looked for
 
@@ -138,14 +138,13 @@ def _limit(space: SolutionSpace, first: Point, of: Callable[[Point], float]) -> 
 
 def _reach(places: Array, values: Array, k: int) -> tuple[float, float]:
     """Least and largest value between solutions k - 1 and k of the polynomial through the four solutions around."""
-    from scipy.interpolate import BarycentricInterpolator
-
     around = np.arange(max(0, k - 2), min(values.size, k + 2))
     around = around[np.isfinite(values[around])]
-    sampled = BarycentricInterpolator(places[around], values[around])(
-        np.linspace(places[k - 1], places[k], STRETCH_SAMPLES)
-    )
-    return float(np.min(sampled)), float(np.max(sampled))
+    through = Polynomial.fit(places[around], values[around], around.size - 1)
+    turns = through.deriv().roots()
+    inside = (turns.imag == 0.0) & (places[k - 1] < turns.real) & (turns.real < places[k])
+    reached = np.append(through(turns.real[inside]), values[k - 1 : k + 1])
+    return float(np.min(reached)), float(np.max(reached))
 
 
 def _held(space: SolutionSpace, solutions: Sequence[Solution], name: str, value: float) -> Iterator[Solution | None]:

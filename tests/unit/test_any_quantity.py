@@ -59,9 +59,11 @@ def test_orbits_are_found_at_any_number_of_their_table() -> None:
     assert branch.at(Omega=1.5).parameters["mu"] == pytest.approx(0.5, rel=1e-9)
 
 
-def test_an_orbit_is_found_where_an_extremum_between_two_points_reaches_the_value() -> None:
+@pytest.mark.parametrize("at", [(), (-0.0007,)])
+def test_an_orbit_is_found_where_an_extremum_between_two_points_reaches_the_value(at: tuple[float, ...]) -> None:
+    """Also where one of them is beside the extremum."""
     mu = ca.SX.sym("mu")
-    branch = circles(1 - mu**2, mu, -0.5).follow("mu", 0.75)
+    branch = circles(1 - mu**2, mu, -0.5).follow("mu", 0.75, at=at)
     height = 0.5 * (1 + float(np.max(branch["x_max"])))  # beyond all points, below the largest radius, 1
     assert np.max(branch["x_max"]) < height < 1.0
     found = [branch.at(x_max=height, which=which).parameters["mu"] for which in (0, 1)]
