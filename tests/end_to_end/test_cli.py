@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from apart import Ended, modules_of
-from scenes import Runs, chain, family
+from apart import modules_of
+from scenes import Cli, Runs, chain, family
 
 from casadi_skin import Chain, __version__
 from casadi_skin.native import kernels_in_words
 
 pytestmark = pytest.mark.usefixtures("blank")
-Cli = Callable[..., Ended]
 CHAIN = chain(24)
 GOOD = CHAIN + family(1, 3.0, at=[0.2, 1.0])
 TASKS = "[family], [equilibrium], [orbit], [solution], [design], [dynamics], [export] or [spectrum]"

@@ -5,20 +5,17 @@ from __future__ import annotations
 import json
 import subprocess
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from apart import Ended
 from drawing import blank_pictures
 from outputs import EXAMPLES, read_rows
-from scenes import chain, family
+from scenes import Cli, chain, family
 
 from casadi_skin.runs.program import _parser, main
 from casadi_skin.runs.reading import parse_scene, scene_schema
 
-Cli = Callable[..., Ended]
 CHAIN, FAMILY = chain(3), family(1, 0.1)
 VERBS = tuple(_parser()._subparsers._group_actions[0].choices)  # type: ignore[union-attr]
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from apart import ended
 from outputs import read_rows
+from scenes import Cli
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain
@@ -107,11 +108,10 @@ def test_stability_of_an_infinite_chain_resumes_to_the_same_bytes(
         np.testing.assert_allclose(period, 2.0 * np.pi / file.variables["Omega"].data, rtol=1e-14)
 
 
-def test_the_plan_tells_what_is_eliminated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(written(tmp_path / "long.toml", sites=1000))]) == 0
-    assert "the linear tail is eliminated exactly" in capsys.readouterr().out
-    assert main(["check", str(written(tmp_path / "full.toml", sites=1000, rest='tail = "full"'))]) == 0
-    assert "eliminated" not in capsys.readouterr().out
+def test_the_plan_tells_what_is_eliminated(tmp_path: Path, cli: Cli) -> None:
+    plan = cli("check", written(tmp_path / "long.toml", sites=1000)).out
+    assert "the linear tail is eliminated exactly" in plan
+    assert "eliminated" not in cli("check", written(tmp_path / "full.toml", sites=1000, rest='tail = "full"')).out
 
 
 @pytest.mark.parametrize(
@@ -137,21 +137,16 @@ def test_the_plan_tells_what_is_eliminated(tmp_path: Path, capsys: pytest.Captur
     ],
 )
 def test_what_an_infinite_chain_does_not_have_is_refused_in_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], values: dict[str, object], words: str
+    tmp_path: Path, cli: Cli, values: dict[str, object], words: str
 ) -> None:
     scene = written(tmp_path / "wrong.toml", **values)
-    for command in (["run", str(scene), "--out", str(tmp_path / "out")], ["check", str(scene)]):
-        assert main(command) == 2
-        told = capsys.readouterr().err
-        assert told.count("\n") == 1
-        assert words in told
+    for command in (["run", scene, "--out", tmp_path / "out"], ["check", scene]):
+        assert words in cli(*command).line
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("key", ["growth = 0.1", "boundary = true"])
-def test_maps_of_infinite_chains_have_no_changes_of_stability(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str
-) -> None:
+def test_maps_of_infinite_chains_have_no_changes_of_stability(tmp_path: Path, cli: Cli, key: str) -> None:
     scene = written(tmp_path / "map.toml", rest=f"[stability]\n[map]\ngamma = [0.5, 0.6]\n{key}")
-    assert main(["map", str(scene), "--out", str(tmp_path / "out")]) == 2
-    assert f"[map] {key.split()[0]}: given with sites = inf" in capsys.readouterr().err
+    line = cli("map", scene, "--out", tmp_path / "out").line
+    assert f"[map] {key.split()[0]}: given with sites = inf" in line

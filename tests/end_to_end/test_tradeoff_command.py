@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from outputs import read_rows
-from scenes import chain, family, lattice
+from scenes import Cli, chain, family, lattice
 
 from casadi_skin.runs import tradeoff
 from casadi_skin.runs.program import main
@@ -104,14 +104,13 @@ def test_a_few_settings_and_what_an_interruption_leaves(
     ],
 )
 def test_wrong_input_is_refused_in_one_line(
-    text: str, words: str, told: str, scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    text: str, words: str, told: str, scene: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     monkeypatch.chdir(scene.parent)
     scene.write_text(text, encoding="utf-8")
-    assert main(["tradeoff", str(scene), "--out", "out", *words.split()]) == 2
-    out, line = capsys.readouterr()
-    assert (out, line.count("\n")) == ("", 1)
-    assert told in line
+    done = cli("tradeoff", scene, "--out", "out", *words.split())
+    assert done.out == ""
+    assert told in done.line
     assert not Path("out").exists()
 
 

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from apart import Ended
-from scenes import chain, family
+from scenes import Cli, chain, family
 
 from casadi_skin.model.files import opened_in_place, replacing
 from casadi_skin.results.store import Journal
@@ -29,7 +28,6 @@ PLACES: dict[str, Place] = {
     "no file": lambda path, other: os.mkfifo(path),
     "hard link": lambda path, other: path.hardlink_to(other),
 }
-Command = Callable[..., Ended]
 
 
 @pytest.fixture
@@ -49,7 +47,7 @@ def scene(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("name", [LOCK, JOURNAL, "family.csv", "export"])
 @pytest.mark.parametrize("flag", ["", "--resume", "--overwrite"])
 def test_a_link_in_a_folder_of_results_is_refused_before_anything_is_written(
-    name: str, flag: str, scene: Path, other: Path, tmp_path: Path, cli: Command
+    name: str, flag: str, scene: Path, other: Path, tmp_path: Path, cli: Cli
 ) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -102,7 +100,7 @@ def test_a_temporary_name_that_was_foreseen_is_not_used(
 
 
 def test_a_folder_that_is_a_link_and_links_of_other_names_are_the_users(
-    scene: Path, other: Path, tmp_path: Path, cli: Command
+    scene: Path, other: Path, tmp_path: Path, cli: Cli
 ) -> None:
     """Results may be kept on another disk; what is replaced leaves the file of a hard link as it was."""
     (tmp_path / "disk").mkdir()

@@ -13,11 +13,10 @@ import casadi as ca
 import msgspec
 import numpy as np
 import pytest
-from apart import Ended
 from drawing import blank_pictures
 from journals import journal_of
 from maps import TINY, Now, files, write
-from scenes import chain, family
+from scenes import Cli, chain, family
 
 from casadi_skin import OdeModel, read_map
 from casadi_skin.results.branch_records import (
@@ -43,7 +42,6 @@ from casadi_skin.zero.settings import End
 pytestmark = pytest.mark.usefixtures("blank")
 SCENE = chain(2) + family(1, at=[0.5]) + '[stability]\n[accuracy]\npreset = "draft"\n'
 Records = list[Any]
-Command = Callable[..., Ended]
 put = msgspec.structs.replace
 
 
@@ -127,7 +125,7 @@ def points(record: BranchRecord) -> bool:
 
 @pytest.mark.parametrize("edit", [pytest.param(e, marks=() if e in QUICK else pytest.mark.slow) for e in EDITED])
 def test_a_run_whose_journal_was_edited_names_the_record_and_ends_as_if_it_had_not_been(
-    edit: str, whole: Path, tmp_path: Path, cli: Command
+    edit: str, whole: Path, tmp_path: Path, cli: Cli
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(whole / "kept", out)
@@ -156,7 +154,7 @@ def apart(data: bytes) -> list[tuple[int, bytes]]:
 
 
 def test_records_that_were_dropped_are_missed_where_the_others_are_numbered_anew(
-    whole: Path, tmp_path: Path, cli: Command
+    whole: Path, tmp_path: Path, cli: Cli
 ) -> None:
     """Who edits single records, and makes their own checksums anew, leaves a gap in the chain of checksums."""
     out = tmp_path / "out"
@@ -310,7 +308,7 @@ def test_a_head_or_a_journal_of_another_scene_is_refused_by_its_name(mapped: Pat
 
 
 @pytest.mark.slow
-def test_a_map_that_workers_compute_again_is_compared_with_its_journal(tmp_path: Path, cli: Command) -> None:
+def test_a_map_that_workers_compute_again_is_compared_with_its_journal(tmp_path: Path, cli: Cli) -> None:
     words = ("map", write(tmp_path, TINY), "--out", tmp_path / "whole", "--no-pictures")
     assert cli(*words).status == 0
     (tmp_path / "mine").mkdir()

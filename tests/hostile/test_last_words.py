@@ -7,22 +7,20 @@ import re
 import resource
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import msgspec
 import pytest
-from apart import Ended, killing
-from scenes import Runs, chain, family, lattice
+from apart import killing
+from scenes import Cli, Runs, chain, family, lattice
 
 from casadi_skin import Chain, OdeModel, follow_family, search_orbit
 from casadi_skin.follow.branch import Branch
 from casadi_skin.results.saving import saved
 from casadi_skin.results.store import framed
 
-Cli = Callable[..., Ended]
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 # The last handler -----------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import chain, family, lattice, table
+from scenes import Cli, chain, family, lattice, table
 
 from casadi_skin import OdeModel, find_orbit, read_model, read_result, simulate
 from casadi_skin.model.loading import LARGEST_FILE_BYTES
@@ -182,7 +182,7 @@ LARGE = {
     "name", ["design", *(pytest.param(name, marks=pytest.mark.slow) for name in LARGE if name != "design")]
 )
 def test_what_needs_more_memory_than_there_is_is_refused_before_it_starts(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     command, text, need, asked = LARGE[name]
     path = tmp_path / "scene.toml"
@@ -191,11 +191,9 @@ def test_what_needs_more_memory_than_there_is_is_refused_before_it_starts(
     assert "GB" in dict(plan_lines(bound(scene, path), measure=False))["memory"]
     monkeypatch.setattr(cost, "available_memory", lambda: 1e8)
     words = ("--workers", "3") if command == "map" else ()
-    assert main([command, str(path), "--out", str(tmp_path / "out"), "--quiet", *words]) == 2
-    line = capsys.readouterr().err
+    line = cli(command, path, "--out", tmp_path / "out", "--quiet", *words).line
     assert line.startswith(f"casadi-skin: {path}: [{asked}]: needs about {need} of memory (within a factor of 2)")
     assert line.endswith("or the option --beyond-memory\n")
-    assert line.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from apart import Ended
-
-Cli = Callable[..., Ended]
+from scenes import Cli
 
 
 @pytest.mark.parametrize("name", ["\x1b[31m", "a\u202eb", "\udcff", "\x07"])

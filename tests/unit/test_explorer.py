@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pages import browser as browser
 from pages import data_in, explored, opened, settled, write_map
+from scenes import Cli
 
 from casadi_skin import Chain, OdeModel, find_equilibrium, follow_family
 from casadi_skin.follow.branch import Branch
@@ -81,13 +82,11 @@ def test_a_long_branch_is_thinned_with_a_note(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_run_is_refused(
-    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
     monkeypatch.chdir(tmp_path)
     follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1, tolerance=1e-4).orbits[-1].save("odd.skin")
-    assert main(["explore", *arguments]) == 2
-    assert words in capsys.readouterr().err
+    assert words in cli("explore", *arguments).line
 
 
 @pytest.mark.parametrize("kind", ["run", "map"])

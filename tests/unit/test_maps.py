@@ -15,7 +15,7 @@ import pytest
 from maps import EQUILIBRIUM, TINY, Now, files, tasks, write
 from matplotlib.collections import QuadMesh
 from outputs import drawn, read_rows
-from scenes import chain, family, lattice, table
+from scenes import Cli, chain, family, lattice, table
 from scipy.io import netcdf_file
 
 from casadi_skin import Chain, follow_family, read_map, run_map
@@ -68,12 +68,9 @@ TEXTS = {f"{BASE}[map]\n{given}\n": words for given, words in REFUSED.items()} |
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_a_bad_map_is_refused_in_one_line(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bad_map_is_refused_in_one_line(text: str, tmp_path: Path, cli: Cli) -> None:
     scene, out = write(tmp_path, text), tmp_path / "out"
-    assert main(["map", str(scene), "--out", str(out)]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"casadi-skin: {scene}: {TEXTS[text]}"), told
-    assert told.count("\n") == 1
+    assert cli("map", scene, "--out", out).line.startswith(f"casadi-skin: {scene}: {TEXTS[text]}")
     assert not out.exists()
 
 
@@ -87,11 +84,8 @@ def test_a_bad_map_is_refused_in_one_line(text: str, tmp_path: Path, capsys: pyt
         ("--workers 0", "map: --workers: given 0; accepted: a whole number from 1 to 256"),
     ],
 )
-def test_bad_words_are_refused(words: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["map", str(write(tmp_path, TINY)), *words.split()]) == 2
-    printed = capsys.readouterr().err
-    assert printed.startswith(f"casadi-skin: {told}")
-    assert printed.count("\n") == 1
+def test_bad_words_are_refused(words: str, told: str, tmp_path: Path, cli: Cli) -> None:
+    assert cli("map", write(tmp_path, TINY), *words.split()).line.startswith(f"casadi-skin: {told}")
 
 
 def test_values_of_a_refined_axis_hold_those_of_the_coarse_one(tmp_path: Path) -> None:
