@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from scenes import chain, family, table
 
 from casadi_skin import run_map
 from casadi_skin.results.store import read_records
@@ -19,21 +20,17 @@ from casadi_skin.runs.map_cell import Result, Row
 from casadi_skin.runs.map_grid import Task
 from casadi_skin.runs.map_result import Map, MapRecord, TaskRecord
 
-TINY = """[chain]
-sites = 2
-alpha = 1.0
-gamma = 0.25
-g = -1.0
-[family]
-mode = 1
-amplitude_max = 0.1
-[accuracy]
+TINY = (
+    chain(2)
+    + family(1, 0.1)
+    + """[accuracy]
 tolerance = 1e-4
 [map]
 gamma = { from = 0.1, to = 0.3, points = 3 }
 S = { from = 0.05, to = 0.1, points = 2 }
 mode = [1, 2]
 """
+)
 MODELS = """
 import os, time
 from pathlib import Path
@@ -67,12 +64,7 @@ def dies_once():
 def fails():
     raise RuntimeError("never")
 """
-EQUILIBRIUM = """[model]
-file = "models.py"
-name = "good"
-[equilibrium]
-start = [0.1]
-"""
+EQUILIBRIUM = table("model", file="models.py", name="good") + table("equilibrium", start=[0.1])
 OF_MODELS = EQUILIBRIUM + '[map]\n"model.name" = NAMES\n'
 SLOW = ["good", *(f"slow_{k}" for k in range(6))]
 

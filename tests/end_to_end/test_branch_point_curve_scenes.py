@@ -17,17 +17,8 @@ mirror = OdeModel("mirror", ca.vertcat(x, y, z), rhs, ca.vertcat(a, k), nominal=
 bent = OdeModel("column", ca.vertcat(x, y), ca.vertcat(y, -a * ca.sin(x) - k * x**3), ca.vertcat(a, k))
 column = BoundaryValueProblem(bent, [bent.start(x), bent.end(x)], parameters={"a": 5.0, "k": 0.0})
 """
-ORBIT = """
-[orbit]
-start = { x = 1.0, y = 0.0, z = 0.0 }
-transient = 20.0
-
-[stability]
-"""
-SOLUTION = """
-[solution]
-guess = { x = 0.0, y = 0.0 }
-"""
+ORBIT = table("orbit", start={"x": 1.0, "y": 0.0, "z": 0.0}, transient=20.0) + "[stability]\n"
+SOLUTION = table("solution", guess={"x": 0.0, "y": 0.0})
 
 
 @pytest.mark.slow

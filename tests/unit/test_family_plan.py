@@ -5,22 +5,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from scenes import chain, family
 
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.plan import chain_lines, plan_lines
 from casadi_skin.runs.reading import parse_scene
 
-FAMILY = """
-[chain]
-sites = 24
-alpha = 1.0
-gamma = 0.25
-g = -1.0
-[family]
-mode = [1, "last"]
-amplitude_max = 3.0
-at = [0.5, 3.0]
-"""
+FAMILY = chain(24) + family([1, "last"], 3.0, at=[0.5, 3.0])
 KNOWN = [
     FAMILY,
     FAMILY.replace("at = [0.5, 3.0]", "at_Omega = [0.9]\nperiod_max = 8.5\nmax_points = 17"),

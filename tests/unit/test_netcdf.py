@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from maps import TINY, write
+from scenes import table
 from scipy.io import netcdf_file
 
 from casadi_skin import run_map
@@ -33,16 +34,10 @@ def test_attributes_keep_their_digits_and_letters(tmp_path: Path) -> None:
         assert [b"".join(row).decode().strip() for row in file.variables["n"][:]] == ["ξ", "y"]
 
 
-GREEK = """title = "Über μ"
-[model]
-file = "greek.py"
-name = "model"
-[equilibrium]
-start = [0.1]
-[continuation]
-parameter = "μ"
-to = 1.0
-"""
+GREEK = 'title = "Über μ"\n' + (
+    table("model", file="greek.py", name="model") + table("equilibrium", start=[0.1])
+    + table("continuation", parameter="μ", to=1.0)
+)  # fmt: skip
 MODEL = """import casadi as ca
 from casadi_skin import OdeModel
 x, p = ca.SX.sym("ξ"), ca.SX.sym("μ")
