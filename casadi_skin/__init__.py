@@ -108,6 +108,7 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
         "family_equations": "optimise.families:chain_equations",
         "threshold": "dynamics.resonances:threshold",
+        "threshold_gradient": "dynamics.resonances:threshold_gradient",
     },
     "LongLattice": {"family_coordinates": "lattice.core_with_tail:long_lattice_coordinates"},
     "Map": {

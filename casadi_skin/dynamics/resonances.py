@@ -29,6 +29,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.result import in_turn
+from casadi_skin.points.gradient import DIFFERENCE_PLACES, DIFFERENCE_WEIGHTS, Gradient
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import Point
@@ -205,6 +206,7 @@ def _excess(lattice: Lattice, frequency: str, orbit: Orbit) -> tuple[float, floa
 
 BALANCE_TOLERANCE = 1e-12
 LARGEST_S = 1e4  # up to which a threshold is looked for
+THRESHOLD_STEP = 1e-3  # of a parameter, of differences of thresholds
 
 
 @in_turn
@@ -221,6 +223,29 @@ def threshold(chain: Chain) -> float:
             return found
         amplitude_max *= 10.0
     raise ArithmeticError(f"threshold: the frequency does not leave the band up to |g| S = {LARGEST_S:g}")
+
+
+@in_turn
+def threshold_gradient(chain: Chain) -> Gradient:
+    """The derivatives of the threshold by alpha, gamma and g, with their errors.
+
+    It is proportional to 1/|g|. By alpha and gamma they are central differences of thresholds, which are known to 12
+    digits: differences of their equations, with Omega held, had no more, as alpha and gamma are numbers in the tail.
+
+    Returns:
+        {parameter: derivative} with `errors`.
+
+    Raises:
+        ValueError, ArithmeticError: as `threshold`, also beside the chain.
+    """
+    S, slopes, errors = threshold(chain), dict[str, float](), dict[str, float]()
+    for name, value in (("alpha", chain.alpha), ("gamma", chain.gamma)):
+        h = THRESHOLD_STEP * min(abs(value), 1.0 - abs(chain.gamma))
+        beside: list[dict[str, Any]] = [{name: value + place * h} for place in DIFFERENCE_PLACES]
+        first, second = DIFFERENCE_WEIGHTS @ np.array([threshold(replace(chain, **one)) for one in beside]) / h
+        slopes[name], errors[name] = float(first), float(abs(first - second) + BALANCE_TOLERANCE * S / h)
+    slopes["g"], errors["g"] = -S / chain.g, BALANCE_TOLERANCE * S / abs(chain.g)
+    return Gradient("S at the threshold", S, slopes, errors, "all other parameters")
 
 
 def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:

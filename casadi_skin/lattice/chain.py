@@ -190,6 +190,8 @@ class Chain(WithOwnParameters):
     """The equations of its families with parameters free; see `find_design`."""
     threshold: ClassVar[Callable[..., float]]
     """S at which the end breather of the infinite chain is born: `casadi_skin.dynamics.resonances.threshold`."""
+    threshold_gradient: ClassVar[Callable[..., Any]]
+    """Its derivatives by alpha, gamma and g: `casadi_skin.dynamics.resonances.threshold_gradient`."""
 
     # CasADi expressions ---------------------------------------------------------------------------------------------
 

@@ -12,7 +12,8 @@ comes back as zero; of a period doubling the linearised equations of the state w
 copies of them with v2(0) = v1(1) and v2(1) - 2 kappa v2(0) + v1(0) = 0, (2 k + 1, 2 k), where kappa is the cosine of
 the angle of the multipliers: real, and regular where kappa goes through 1 and -1 (Doedel, Keller and Kernevez 1991). Of
 an autonomous orbit v2 closes up to a multiple of the velocity, across which v1 starts, as the trivial multiplier is 1
-as well. Products with F_xx are differences of F_x, which a Newton step needs to few digits.
+as well. Products with F_xx are differences of F_x, which a Newton step needs to few digits: exact ones, as gradients
+have them, take up to five times as long, and curves of special orbits 5 to 40 per cent longer.
 
 Equilibria are the same with F = f(x, p) at rest. At a Hopf point B is that of f_x v1 / rate = v2 and f_x v2 / rate =
 -kappa v1, with v1 across a vector, (2 n + 1, 2 n), and kappa = (omega / rate)^2: regular where kappa goes through zero

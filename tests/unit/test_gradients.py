@@ -366,6 +366,25 @@ def test_edges_of_tongues_move_along_their_curves_and_scale_with_the_cubic_force
     assert max(found.errors.values()) < 1e-7
 
 
+@pytest.mark.slow
+def test_thresholds_of_long_chains_move_as_polynomials_through_them_do() -> None:
+    """The chain of the opposite gamma is the mirror image."""
+    chain = Chain(24, 1.0, 0.4, 2.0)
+    found, mirrored = (one.threshold_gradient() for one in (chain, Chain(24, 1.0, -0.4, 2.0)))
+    assert found.value == chain.threshold()
+    assert found["g"] == pytest.approx(-found.value / 2.0, rel=1e-12)
+    assert abs(found["gamma"] + mirrored["gamma"]) <= found.errors["gamma"] + mirrored.errors["gamma"] < 1e-8
+    assert abs(found["alpha"] - mirrored["alpha"]) <= found.errors["alpha"] + mirrored.errors["alpha"] < 1e-8
+    for name, chains in {
+        "alpha": lambda alpha: Chain(24, alpha, 0.4, 2.0), "gamma": lambda gamma: Chain(24, 1.0, gamma, 2.0)
+    }.items():  # fmt: skip
+        place, way = getattr(chain, name), 0.04
+        nodes = np.polynomial.chebyshev.chebpts1(11)
+        values = [chains(place + way * x).threshold() for x in nodes]
+        series = np.polynomial.Chebyshev.fit(nodes, values, 10, domain=[-1, 1])
+        assert found[name] == pytest.approx(float(series.deriv()(0.0)) / way, abs=1e-8)
+
+
 def test_a_scene_writes_the_derivatives_of_its_special_points(tmp_path: Path) -> None:
     scene = tmp_path / "scene.toml"
     tables = "[chain]\nsites = 8\nalpha = 1.0\ngamma = 0.25\ng = -1.0\n[family]\nmode = 1\namplitude_max = 0.3\n"
