@@ -102,10 +102,10 @@ def fit_parameters(
         found = search.rows(p)
         return (nothing[:, 0], nothing[:, 1:]) if found is None else (found[0][1:], found[1][1:])
 
-    (start,), scales = problem.places(1, 0), problem.scales
+    (start,), scales, names = problem.places(1, 0), problem.scales, ", ".join(problem.over)
     residuals, J = located(start)
     if not np.all(np.isfinite(residuals)):
-        raise ArithmeticError("fit_parameters: not everything that is measured is located at the start")
+        raise ArithmeticError(f"fit_parameters: not all is located at the start, with derivatives by {names}")
     _covariance(problem, J)  # before the search wanders along what is not determined
     stops = dict.fromkeys(("ftol", "xtol", "gtol"), LEAST_SQUARES_RTOL)
     least: Any = least_squares  # its stub wants arguments of every method

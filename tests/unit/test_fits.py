@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from equilibrium_models import ab, symbols
 
-from casadi_skin import OdeModel, find_equilibrium, find_orbit, fit_parameters
+from casadi_skin import Chain, OdeModel, find_equilibrium, find_orbit, fit_parameters, follow_family
 
 PLANTED = {"p2": 14.1, "p3": 1.95}
 
@@ -72,6 +72,33 @@ def test_deviations_of_a_hundred_fits_are_calibrated() -> None:
     assert np.all(np.abs(squares - 1.0) < 0.42)
     assert np.all(np.abs(np.mean(errors, axis=0)) < 0.3)
     assert abs(np.mean(sums) - free) < 3.0 * np.sqrt(2.0 * free / 100.0)
+
+
+def test_a_torus_and_a_branch_point_of_cycles_are_fitted() -> None:
+    """At a = k^2 and a = 0.5 + k; the second is no branch point at another e."""
+    x, y, z, u, v, a, k, e = symbols("x y z u v a k e")
+    growth, rate = 1 - x**2 - y**2, a - k**2 - u**2 - v**2
+    rhs = [growth * x - y, growth * y + x, (a - 0.5 - k) * z - z**3 + e, rate * u - 0.3 * v, 0.3 * u + rate * v]
+    model = OdeModel("turning", ca.vertcat(x, y, z, u, v), ca.vertcat(*rhs), ca.vertcat(a, k, e))
+    guess = lambda t: [np.cos(t), np.sin(t), 0.0, 0.0, 0.0]  # noqa: E731
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters={"a": -0.3, "k": 0.2, "e": 0.0}, tolerance=1e-9)
+    torus, other = orbit.follow("a", 1.0, stability=True).special_points
+    fit = fit_parameters([(torus, 0.09, 0.01), (other, 0.8, 0.02)], over=["k"])
+    assert fit["k"] == pytest.approx(0.3, abs=1e-8)
+    assert fit.deviations["k"] == pytest.approx((0.6**2 / 0.01**2 + 1.0 / 0.02**2) ** -0.5, rel=1e-6)
+    with pytest.raises(ArithmeticError, match="derivatives by e"):
+        fit_parameters([(other, 0.8, 0.02)], over=["e"])
+
+
+@pytest.mark.slow
+def test_edges_of_tongues_are_fitted() -> None:
+    near, planted = (
+        follow_family(Chain(8, 1.0, gamma, g), 1, 1.0, stability=True, tolerance=1e-9)
+        for gamma, g in ((0.2, -1.0), (0.21, -1.05))
+    )
+    fit = fit_parameters([(near.edge(k), planted.edge(k).parameters["S"], 1e-4) for k in (0, 2)], over=["gamma", "g"])
+    assert fit.found
+    assert fit.values == pytest.approx({"gamma": 0.21, "g": -1.05}, abs=1e-8)
 
 
 def test_quantities_of_orbits_are_fitted_too() -> None:
