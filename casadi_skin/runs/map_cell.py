@@ -105,7 +105,7 @@ def known_names(request: Request) -> tuple[str, ...]:
     if scene.family is not None:
         tables = (FAMILY_QUANTITIES, FAMILY_STABILITY, FAMILY_ERRORS, FAMILY_PROOFS)
         names = [quantity.name for table in tables for quantity in table]
-        moves = _moves(["first_instability"], request)
+        moves = _moves(["first_instability", "threshold"], request)
         return (*names, "regime", "threshold", *STABILITY, *moves, *OF_ALL)
     ode = request.ode
     special = [name for kind in KINDS for name in _special_names(kind)]
@@ -143,10 +143,11 @@ def asked(scene: Scene, grid: Grid) -> Scene:
     table, put = scene.map, msgspec.structs.replace
     if scene.family is None or scene.continuation is not None or table is None or table.quantities is None:
         return scene
-    names = {FAMILY_SUFFIX.sub("", n) for n in (*table.quantities, *((table.watch or WATCHED) if grid.refined else ()))}
+    wanted = (*table.quantities, *((table.watch or WATCHED) if grid.refined else ()))
+    names, moves = {FAMILY_SUFFIX.sub("", n).split("_by_")[0] for n in wanted}, any("_by_" in n for n in wanted)
     stability, accuracy = scene.stability, scene.accuracy
     if stability is not None and not (table.boundary or names & {*STABILITY, *OF_ALL}):
-        stability = put(stability, events=False) if names & {q.name for q in FAMILY_STABILITY} else None
+        stability = put(stability, events=False) if moves or names & {q.name for q in FAMILY_STABILITY} else None
     if not names & {quantity.name for quantity in FAMILY_PROOFS}:
         accuracy = put(accuracy, certify=False)
     return put(scene, stability=stability, accuracy=accuracy)
@@ -213,15 +214,17 @@ def _of_branch(branch: Branch, growth: float, gradient: bool) -> Named:
         yield "points", len(branch), "points of the branch"
     if branch.threshold is not None:
         yield "threshold", branch.threshold, "S at which the end breather of the infinite chain is born"
+        if gradient:
+            yield from _derivatives("threshold", branch.space.coordinates.chain.threshold_gradient)
     end = "stopped" if branch.stopped else "missed" if branch.end is None else branch.end.name.lower()
     yield "end", end, "why the branch ended, in a word"
     yield "end_reason", branch.reason, "why the branch ended"
 
 
-def _derivatives(name: str, located: Callable[[], Any]) -> Named:
+def _derivatives(name: str, gradient: Callable[[], Any]) -> Named:
     """Derivatives of a located value by all parameters; none of a kind that has none."""
     with suppress(ValueError, ArithmeticError):
-        found = located().gradient()
+        found = gradient()
         for parameter, slope in found.items():
             yield f"{name}_by_{parameter}", slope, f"derivative of {name} by {parameter}"
             yield f"{name}_by_{parameter}_error", found.errors[parameter], ERROR_MEANING
@@ -237,9 +240,8 @@ def _instabilities(branch: Branch, growth: float, gradient: bool) -> Named:
         if (first := diagram.first_instability(growth)) is not None:
             modes = "" if first.modes is None else f", modes {first.modes[0]} + {first.modes[1]}, order {first.order}"
             S, error, tongue = first.start.S, first.start.S_error, first.kind + modes
-            for number, each in enumerate(branch.changes if gradient else ()):
-                if each.value == S:
-                    yield from _derivatives("first_instability", partial(branch.edge, number))
+            if gradient and S in (places := [each.value for each in branch.changes]):
+                yield from _derivatives("first_instability", lambda: branch.edge(places.index(S)).gradient())
     elif branch.with_events and not branch.space.stability_included:
         if (change := next((c for c in branch.located if not c.stable_after), None)) is not None:
             S, error = change.value, change.error
@@ -277,7 +279,7 @@ def _special(branch: Branch, gradient: bool) -> Named:
         yield first, mine[0].parameters[parameter], f"{parameter} at the first {kind} of the branch"
         yield error, mine[0].error, ERROR_MEANING
         if gradient:
-            yield from _derivatives(first, partial(mine.pop, 0))
+            yield from _derivatives(first, mine[0].gradient)
 
 
 def _start(branches: Iterable[Branch]) -> tuple[tuple[float, ...], float]:

@@ -414,6 +414,13 @@ def test_maps_have_the_derivatives_of_what_is_located(tmp_path: Path) -> None:
     scene.write_text(f"{tables}[stability]\ngradient = true\n{map_table}", encoding="utf-8")
     found = run_map(scene, tmp_path / "chain", quiet=True)
     assert found["first_instability_by_g"] == pytest.approx(found["first_instability"], abs=1e-9)
+    scene.write_text(scene.read_text(encoding="utf-8").replace('["first_instability", ', "["), encoding="utf-8")
+    assert run_map(scene, tmp_path / "alone", quiet=True)["first_instability_by_g"] == found["first_instability_by_g"]
+    endless = tables.replace("sites = 8", "sites = inf").replace("0.25", "0.5").replace("mode = 1", 'mode = "first"')
+    map_table = '[map]\ngamma = [0.5]\nquantities = ["threshold", "threshold_by_g"]\n'
+    scene.write_text(f"{endless}[stability]\ngradient = true\n{map_table}", encoding="utf-8")
+    found = run_map(scene, tmp_path / "endless", quiet=True)
+    assert found["threshold_by_g"] == pytest.approx(found["threshold"], rel=1e-11)
     (tmp_path / "cubic.py").write_text(MODEL, encoding="utf-8")
     model = '[model]\nfile = "cubic.py"\nname = "cubic"\n[equilibrium]\nstart = { x = -2.0 }\n'
     walk = '[continuation]\nparameter = "p"\nto = -3.0\ngradient = true\n[map]\na = [1.2, 1.5]\n'
