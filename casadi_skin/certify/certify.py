@@ -82,9 +82,14 @@ def cosine_coefficients(orbit: Orbit, system: CosineSystem, count: int) -> Array
         return orbit.coefficients(count, sites)
     samples = max(count, HALF_PERIOD_SAMPLES)
     phases = (np.arange(samples) + 0.5) * np.pi / samples
-    coefficients = dct(orbit.evaluate(phases / orbit.Omega, sites), axis=0) / samples
+    return cosines_of(orbit.evaluate(phases / orbit.Omega, sites))[:count]
+
+
+def cosines_of(values: Array) -> Array:
+    """Coefficients of cos(k theta) along the first axis from values at theta = (i + 1/2) pi/len(values)."""
+    coefficients = np.asarray(dct(values, axis=0)) / len(values)
     coefficients[0] *= 0.5
-    return np.asarray(coefficients[:count])
+    return coefficients
 
 
 def carrying(orbit: Orbit, system: CosineSystem) -> int:

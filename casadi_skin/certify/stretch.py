@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.fft import dct
 
 from casadi_skin.certify import balls
 from casadi_skin.certify.balls import SUM_ROUNDING_FACTOR, above, arb, arb_mat, ball, exact, largest, rounded_up, size
@@ -31,6 +30,7 @@ from casadi_skin.certify.certify import (
     attempt_near,
     best_attempt,
     computed_series,
+    cosines_of,
     distance,
     provable,
     reason_of,
@@ -290,12 +290,12 @@ class _Stretch:
         return None
 
     def curve(self, start: float, end: float, harmonics: int) -> Curve:
-        """Polynomials through orbits and inverses at Chebyshev nodes of an interval."""
+        """Polynomials, as Chebyshev series, through orbits and inverses at the nodes of an interval."""
         m = PIECE_DEGREE + 1
         nodes = np.cos(np.pi * (np.arange(m) + 0.5) / m)
         found = [self._at_node(0.5 * (start + end) + 0.5 * (end - start) * x, harmonics) for x in nodes.tolist()]
         values, inverses = np.array([v for v, _ in found]), np.array([A for _, A in found])
-        return Curve(self.system, start, end, _chebyshev(values), _chebyshev(inverses), _chebyshev(1.0 / values[:, 0]))
+        return Curve(self.system, start, end, *map(cosines_of, (values, inverses, 1.0 / values[:, 0])))
 
     def _at_node(self, parameter: float, harmonics: int) -> tuple[Array, Array]:
         inverse = FiniteInverse(self.orbit_near(parameter, harmonics), self.nu)
@@ -307,13 +307,6 @@ def _sign(orbit: Orbit) -> float:
     """The sign by which an orbit differs from the continuous choice along its family: its largest site is positive."""
     shown, solved = orbit.evaluate(0.0), orbit.space.positions(orbit.point, np.zeros(1))[0]
     return float(np.sign(shown @ solved))
-
-
-def _chebyshev(values: Array) -> Array:
-    """Chebyshev coefficients along the first axis from values at the nodes."""
-    coefficients = dct(values, axis=0) / len(values)
-    coefficients[0] *= 0.5
-    return np.asarray(coefficients)
 
 
 @in_turn

@@ -196,11 +196,7 @@ def cvodes(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance
         local, local * size_of(start), int(STEPS_PER_RADIAN * LARGEST_OUTPUT_GAP), iteration=TIGHT_ITERATION
     )
     gap = LARGEST_OUTPUT_GAP / fastest_frequency(model, parameters, start, t[-1])
-    first = model.first_order()
-    dae = {"x": first.state, "p": first.parameters, "ode": first.rhs}
-    if first.forced:
-        dae["t"] = first.time
-    return followed_by_cvodes(dae, parameters, start, t, options, gap=gap)
+    return followed_by_cvodes(_dae_of(model), parameters, start, t, options, gap=gap)
 
 
 def stiff_cvodes(
@@ -216,12 +212,15 @@ def stiff_cvodes(
 
     There is an output at least every `gap`. Raises IntegrationError where CVODES fails.
     """
-    kind = type(model.state)
-    time, x, p = kind.sym("t"), kind.sym("x", model.full_size), kind.sym("p", parameters.size)
     local = max(STIFF_SHARE * tolerance, TIGHTEST_LOCAL_TOLERANCE)
     options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
-    dae = {"t": time, "x": x, "p": p, "ode": model.field_at(time, x, p)}
-    return followed_by_cvodes(dae, parameters, start, t, options, origin, gap)
+    return followed_by_cvodes(_dae_of(model), parameters, start, t, options, origin, gap)
+
+
+def _dae_of(model: OdeModel) -> dict[str, Any]:
+    kind = type(model.state)
+    time, x, p = kind.sym("t"), kind.sym("x", model.full_size), kind.sym("p", model.parameters.numel())
+    return {"t": time, "x": x, "p": p, "ode": model.field_at(time, x, p)}
 
 
 def simulated(model: OdeModel, parameters: Array, start: Array, times: Array, tolerance: float) -> Trajectory:

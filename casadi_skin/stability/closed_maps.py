@@ -524,10 +524,4 @@ def _moved(maps: Array, sizes: Array, left: NDArray[Any], right: NDArray[Any]) -
 
 def _running(maps: Array) -> Array:
     """Products of the first maps, of 1, of 2, and so on."""
-    if maps.shape[1] > MOST_STATES:
-        return np.array(list(accumulate(maps, lambda done, matrix: matrix @ done))).reshape(maps.shape)
-    step = 1
-    while step < len(maps):
-        maps = np.concatenate([maps[:step], maps[step:] @ maps[:-step]])
-        step *= 2
-    return maps
+    return np.array(list(accumulate(maps, lambda done, matrix: matrix @ done))).reshape(maps.shape)

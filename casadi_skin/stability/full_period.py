@@ -131,21 +131,15 @@ def interval_maps(jacobians: Array, lengths: Array, table: CollocationTable) -> 
 
 
 def _solved_maps(A: Array, h: Array, table: CollocationTable) -> Array:
-    """The same of some intervals, from their derivatives (intervals, d, n, n) and lengths (intervals, 1, 1)."""
+    """The same of some intervals, from their derivatives (intervals, d, n, n) and lengths (intervals, 1, 1).
+
+    By the matrices 1 - h a_ij A_j of their stages, (intervals, d n, d n).
+    """
     K, d, n = A.shape[:3]
-    one = np.eye(n)
-    stages = np.linalg.solve(_stage_systems(A, h, table), np.tile(one, (d, 1))).reshape(K, d, n, n)
+    one, weights = np.eye(n), h * table.matrix
+    systems = np.eye(d * n) - (weights[:, :, None, :, None] * A.transpose(0, 2, 1, 3)[:, None]).reshape(K, d * n, d * n)
+    stages = np.linalg.solve(systems, np.tile(one, (d, 1))).reshape(K, d, n, n)
     return np.asarray(one + h * np.tensordot(A @ stages, table.extended[-1], (1, 0)))
-
-
-def _stage_systems(A: Array, h: Array, table: CollocationTable) -> Array:
-    """The matrices 1 - h a_ij A_j of the stages of several intervals, shape (intervals, d n, d n)."""
-    K, d, n = A.shape[:3]
-    weights = -h * table.matrix
-    systems = weights[:, :, None, :, None] * A.transpose(0, 2, 1, 3)[:, None]
-    systems = systems.reshape(K, d * n, d * n)
-    systems[:, np.arange(d * n), np.arange(d * n)] += 1.0
-    return np.asarray(systems)
 
 
 SPECTRAL_SQUARINGS = 3  # of small matrices, whose norms then bound their eigenvalues closely

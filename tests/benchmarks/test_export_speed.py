@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from casadi_skin import Chain, Orbit, export_c, follow_family
-from casadi_skin.export.codegen import c_source
+from casadi_skin.export.codegen import c_source, prototype
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.flows import JacobianAlong, SplittingMap, srkn_coefficients
 from casadi_skin.zero.cosines import second_derivative_matrix
@@ -333,26 +333,27 @@ def test_newton_solvers_in_c(tmp_path: Path) -> None:
         built = time.perf_counter() - started
         directory = tmp_path / f"fast{sites}"
         directory.mkdir()
-        (directory / "fast.c").write_text(source.text)
+        (directory / "fast.c").write_text(source)
         numbers = ", ".join(f"{value:.17g}" for value in guess)
-        sizes = source.functions[0]
-        (directory / "main.c").write_text(FAST.format(numbers=numbers, kappa=kappa[0], f=sizes, Omega=orbit.Omega))
+        sizes = {size: getattr(function, size)() for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+        names = {"prototype": prototype(function), "name": function.name()}
+        (directory / "main.c").write_text(
+            FAST.format(numbers=numbers, kappa=kappa[0], Omega=orbit.Omega, **sizes, **names)
+        )
         found["fast_newton"] = newton_time(directory)
         words = ", ".join(f"{name} {1e6 * value:.4g} us" for name, value in found.items())
-        print(
-            f"  N = {sites}, {orbit.point.problem.size} unknowns: {words}; fast_newton: {len(source.text) / 1e3:.0f} kB"
-        )
+        print(f"  N = {sites}, {orbit.point.problem.size} unknowns: {words}; fast_newton: {len(source) / 1e3:.0f} kB")
         assert built < 60
 
 
 FAST = """#include <stdio.h>
 #include <math.h>
 #include <time.h>
-{f.prototype};
-static double guess[] = {{{numbers}}}, kappa = {kappa:.17g}, z[sizeof guess / sizeof *guess], w[{f.sz_w} + 1];
-static const double *arg[{f.sz_arg} + 1];
-static double *res[{f.sz_res} + 1];
-static long long int iw[{f.sz_iw} + 1];
+{prototype};
+static double guess[] = {{{numbers}}}, kappa = {kappa:.17g}, z[sizeof guess / sizeof *guess], w[{sz_w} + 1];
+static const double *arg[{sz_arg} + 1];
+static double *res[{sz_res} + 1];
+static long long int iw[{sz_iw} + 1];
 int main(void)
 {{
     long n = 1, i;
@@ -363,7 +364,7 @@ int main(void)
         a = clock();
         for (i = 0; i < n; i++) {{
             arg[0] = guess; arg[1] = &kappa; res[0] = z;
-            if ({f.name}(arg, res, iw, w, 0)) return 1;
+            if ({name}(arg, res, iw, w, 0)) return 1;
         }}
         s = (double)(clock() - a) / CLOCKS_PER_SEC;
     }} while (s < 0.3);
