@@ -29,7 +29,7 @@ from casadi_skin.follow.point import ALIGNED_COSINE
 from casadi_skin.follow.samples import Crossing, Sample, SampledStretch, assignment
 from casadi_skin.follow.search import BranchStretch, ExponentSampler, NotLocatedError, Search, gap_between
 from casadi_skin.follow.solution import Solution
-from casadi_skin.follow.space import precedes, snapped, target_of
+from casadi_skin.follow.space import has_value, precedes, snapped, target_of
 from casadi_skin.follow.special_points import STILL_RATE, rate, special_orbit
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve.watch import TimeLimitError
@@ -497,13 +497,17 @@ class Ledger:
         if special and not leaving and self._count is not None:
             self._passed(before, self._count, start, critical_angle(before.point.special, before))
         self._count = start
+        known = [one for one, is_special in ((before, special), (after, ends_special)) if is_special]
         for one, other in pairwise(orbits):
-            yield from self._events(one, other, self._count, before if unclear else None)
+            yield from self._events(one, other, self._count, before if unclear else None, known)
 
-    def _events(self, first: Solution, last: Solution, count: int, start: Solution | None) -> Iterator[Solution]:
+    def _events(
+        self, first: Solution, last: Solution, count: int, start: Solution | None, known: Sequence[Solution]
+    ) -> Iterator[Solution]:
         """Special orbits between two that are none, behind the first of which so many multipliers are outside.
 
-        Those before the start of the branch, where that is given, are left out.
+        Those before the start of the branch, where that is given, are left out, and known ones that are found again as
+        errors hide the side of a multiplier beside them.
         """
         ends = [(end.point, end.floquet().exponents) for end in (first, last)]
         length = self.space.point_solver.length(first.point, last.point)
@@ -511,7 +515,11 @@ class Ledger:
         events, gaps = events_between(self.space, self._sampler)
         self.unresolved += gaps
         stretch = None if start is None else BranchStretch(self.space.point_solver, start.point, last.point)
+        hidden = 0
         for event in events:
+            if any(event.kind == one.point.special and self._meets(event.solution, one) for one in known):
+                hidden += event.jump
+                continue
             count += event.jump
             if stretch is not None and precedes(self.space, stretch, event.solution.point):
                 continue
@@ -520,12 +528,16 @@ class Ledger:
                 yield event.solution
         (_, one), (_, other) = ends
         (_, open_at_start), (end, open_at_end) = one.outside, other.outside
-        if not gaps and abs(end - count) > min(open_at_start, open_at_end):
+        if not gaps and abs(end - hidden - count) > min(open_at_start, open_at_end):
             words = f"{end} multipliers are outside the unit circle where events account for {count}"
             self._name(first, last, words)
         elif not gaps and not accounted(one, other, events):
             self._name(first, last, "a multiplier that is 1 or -1 is missing: others have another sign")
-        self._count = end
+        self._count = end - hidden
+
+    def _meets(self, located: Solution, known: Solution) -> bool:
+        """Whether an orbit is at the value of a known one within its error."""
+        return has_value(self.space, located.point, self.space.value(self.space.parameter, known.point))
 
     def _nearer(self, special: Solution, beside: Solution, way: Callable[[float], Any]) -> list[Solution]:
         """An orbit beside a special one; where another is nearer to that, so is the first one behind which it lies.
