@@ -25,6 +25,7 @@ from casadi_skin.model.arguments import (
     by_name,
     check_name,
     duration,
+    function_of,
     number,
     number_within,
     short_repr,
@@ -424,8 +425,7 @@ def limits_of(options: Mapping[str, Any]) -> tuple[float | None, Callable[[str],
     """`time_limit` and `progress` of options; raises ValueError and TypeError."""
     limit, report = options.get("time_limit"), options.get("progress")
     duration("time_limit", limit)
-    if report is not None and not callable(report):
-        raise TypeError(f"progress: given {short_repr(report)}; accepted: a function of words")
+    function_of("progress", report, "words")
     return limit, report
 
 

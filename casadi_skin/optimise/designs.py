@@ -19,10 +19,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.arguments import accepted_names, number_within, truth, whole
+from casadi_skin.model.arguments import accepted_names, function_of, number_within, truth, whole
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.optimise.design_problem import DesignProblem, Quantity, Rows
 from casadi_skin.optimise.located import LocatedThing
+from casadi_skin.optimise.search_problem import checked_conditions
 from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.problem import EPSILON, Array
 
@@ -202,6 +203,7 @@ class Search:
     """The designs from one start on."""
 
     def __init__(self, problem: DesignProblem, progress: Callable[[str], None] | None) -> None:
+        function_of("progress", progress, "words")
         self.problem, self.progress, self.sign = problem, progress, -1.0 if problem.maximise else 1.0
         self.things, self.at = problem.things, np.repeat(problem.values, problem.counts)
         self.path, self.values = list[Array](), list[float]()
@@ -454,6 +456,8 @@ def pareto_front(
     """
     whole("points", points, 2)
     whole("starts", starts, 1)
+    number_within("tolerance", tolerance, 1e-12, 1e-2)
+    checked_conditions(subject_to, (str, Callable), "a function of what is located", "subject_to")
 
     def least(quantity: str, limit: float | None = None, near: Sequence[Design] = ()) -> Design:
         held = [*subject_to, (first, None, None), (second, None, limit)]

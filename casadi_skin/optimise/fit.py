@@ -137,7 +137,8 @@ def _stated(measured: Any, over: Any, bounds: Any) -> tuple[DesignProblem, list[
     """The problem whose constraints are the residuals; and of each the thing, quantity, value and deviation."""
     if not isinstance(measured, list | tuple) or not measured:
         raise TypeError(f"measured: given {short_repr(measured)}; accepted: a list of {ITEM_WORDS}")
-    things, rows, names = dict[int, Any](), list[tuple[int, str, float, float]](), np.atleast_1d(over).tolist()
+    things, rows = dict[int, Any](), list[tuple[int, str, float, float]]()
+    names = over if isinstance(over, list | tuple) else [over]
     for k, item in enumerate(measured, start=1):
         place = f"measured, item {k}"
         if not (isinstance(item, tuple | list) and item) or len(item) != 4 - isinstance(item[0], SpecialPoint):
@@ -146,12 +147,10 @@ def _stated(measured: Any, over: Any, bounds: Any) -> tuple[DesignProblem, list[
         value, deviation = number(place, item[-2]), number(place, item[-1])
         if not deviation > 0.0:
             raise ValueError(f"{place}: given the standard deviation {deviation:g}; accepted: one > 0")
-        if quantity in names:
+        if any(isinstance(name, str) and name == quantity for name in names):
             raise ValueError(f"over: given {quantity}, which item {k} of measured locates; accepted: other parameters")
         things.setdefault(id(thing), thing)
         rows.append((list(things).index(id(thing)), quantity, value, deviation))
-    for name in bounds or {}:
-        check_name("bounds", name, names)
 
     def residuals(*known: Any) -> ca.SX:
         return ca.vertcat(*((known[n].value(quantity) - value) / s for n, quantity, value, s in rows))
@@ -159,4 +158,7 @@ def _stated(measured: Any, over: Any, bounds: Any) -> tuple[DesignProblem, list[
     def misfit(*known: Any) -> ca.SX:
         return ca.sumsqr(residuals(*known)) / 2
 
-    return DesignProblem.of(misfit, list(things.values()), names, [(residuals, None, None)], bounds, False), rows
+    problem = DesignProblem.of(misfit, list(things.values()), over, [(residuals, None, None)], bounds, False)
+    for name in bounds or {}:
+        check_name("bounds", name, problem.named)
+    return problem, rows

@@ -34,8 +34,10 @@ from casadi_skin import (
     find_equilibria,
     find_equilibrium,
     find_orbit,
+    fit_parameters,
     follow_family,
     import_fmu,
+    pareto_front,
     read_map,
     read_model,
     read_result,
@@ -154,6 +156,15 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
         {"quantity": "Omega", "of": None, "over": ("S",), "bounds": {"S": (0.1, 0.2)}, "subject_to": (),
          "maximise": False, "starts": 1, "seed": 0, "progress": None, "tolerance": 1e-4},
     ),
+    "pareto_front": (
+        lambda: pareto_front,
+        {"first": "Omega", "second": "S", "of": None, "over": ("S",), "points": 2, "starts": 1, "seed": 0,
+         "tolerance": 1e-4, "subject_to": (), "bounds": {"S": (0.1, 0.2)}},
+    ),
+    "fit_parameters": (
+        lambda: fit_parameters,
+        {"measured": None, "over": ("gamma",), "bounds": {"gamma": (0.1, 0.4)}, "progress": None},
+    ),
     "search_orbit": (
         lambda: search_orbit,
         {"model": VAN_DER_POL, "objective": "period", "running": None, "free": ("mu",),
@@ -260,6 +271,14 @@ def values(draw: random.Random) -> Any:
     return draw.choice(pool)
 
 
+def fill(name: str, given: dict[str, Any]) -> None:
+    """Give a call the orbits that it is for, which are solved where they are needed."""
+    orbit = branch().orbits[-1]
+    given |= {key: orbit for key in ("of", "orbit") if key in given}
+    if name == "fit_parameters":
+        given["measured"] = [(orbit, "Omega", orbit.Omega, 0.1)]
+
+
 def called(name: str, draw: random.Random, folder: Path) -> tuple[Callable[[], Any], str]:
     """A call of a public name with one to three arguments replaced, left out or added, and what it says in words."""
     make, right = CALLS[name]
@@ -267,10 +286,7 @@ def called(name: str, draw: random.Random, folder: Path) -> tuple[Callable[[], A
     for key in ("directory", "path"):
         if isinstance(given.get(key), str):
             given[key] = str(folder / given[key])
-    if name == "smallest_kick":
-        given["orbit"] = branch().orbits[-1]
-    if name == "find_design":
-        given["of"] = branch().orbits[-1]
+    fill(name, given)
     for _ in range(draw.randint(1, 3) if draw.random() < 0.4 else 1):
         key = draw.choice(list(given))
         kind = draw.random()
@@ -347,7 +363,9 @@ def test_the_calls_to_mutate_are_right(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     for name in (name for name in CALLS if name not in ("import_fmu", "read_map", "run_map", "smallest_kick")):
         make, right = CALLS[name]
-        make()(**right)
+        given = dict(right)
+        fill(name, given)
+        make()(**given)
 
 
 @pytest.mark.parametrize("count", [8, pytest.param(180, marks=pytest.mark.slow)])
