@@ -93,10 +93,44 @@ class Design(Result):
             raise KeyError(accepted_names(name, known))
         return known[name]
 
+    def __getattr__(self, name: str) -> Any:
+        """The same as an attribute, as of an optimum of a search."""
+        known = {**self.__dict__.get("quantities", ({},))[0], **self.__dict__.get("parameters", {})}
+        if name not in known:
+            raise AttributeError(f"design: given {name}; {accepted_names(name, known)}")
+        return known[name]
+
     @property
     def solution(self) -> Any:
         """The first located solution."""
         return self.located[0]
+
+    @property
+    def optima(self) -> tuple[Design, ...]:
+        """Distinct optima, best first."""
+        return (self, *self.others) if self.found else self.others
+
+    @property
+    def best(self) -> Design:
+        """The best optimum; raises ValueError with the reason where there is none."""
+        if not self.found:
+            raise ValueError(f"design: no optimum; {self.reason}")
+        return self
+
+    @property
+    def objective(self) -> float:
+        """The value, by the name that it has in a search."""
+        return self.value
+
+    @property
+    def orbit(self) -> Any:
+        """The first located solution, by the name that it has in a search."""
+        return self.solution
+
+    @property
+    def orbits(self) -> tuple[Any, ...]:
+        """What is located, by the name that it has in a search."""
+        return self.located
 
     def is_near(self, other: Design) -> bool:
         """Whether two designs are one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -13,9 +13,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from casadi_skin.model.arguments import short_repr, truth, whole
+from casadi_skin.lattice.chain import Chain
+from casadi_skin.model.arguments import check_options, number_within, short_repr, truth, whole
+from casadi_skin.model.expressions import real_array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import Result, in_turn
+from casadi_skin.optimise.design_problem import DesignProblem, family_starts
+from casadi_skin.optimise.designs import Design, best_design
 from casadi_skin.optimise.nlp import FLAT_CURVATURE
 from casadi_skin.optimise.orbit_search import OrbitSearch
 from casadi_skin.optimise.search_problem import (
@@ -24,6 +28,7 @@ from casadi_skin.optimise.search_problem import (
     Optimum,
     Outcome,
     Start,
+    checked_conditions,
     lost_start,
     solve_start,
 )
@@ -204,9 +209,9 @@ DEFAULT_STARTS = 8
 
 @in_turn
 def search_orbit(
-    model: OdeModel,
+    chain_or_model: Chain | OdeModel,
     *,
-    guess: Guess,
+    guess: Guess | None = None,
     free: Sequence[str],
     bounds: Mapping[str, Any] | None = None,
     constraints: Sequence[Any] = (),
@@ -217,17 +222,20 @@ def search_orbit(
     executor: Executor | None = None,
     progress: Report | None = None,
     **stated: Any,
-) -> SearchResult:
-    """Find the periodic orbits near a guess that optimise an objective over free parameters, from many starts.
+) -> SearchResult | Design:
+    """Find the periodic orbits that optimise an objective over free parameters, from many starts.
 
-    From each start a plain orbit is solved, and Ipopt (Waechter and Biegler 2006) goes on from there with exact second
-    derivatives, by collocation. Distinct optima are made final on finer meshes and compared with plain orbits. Orbits
-    of families, and special points, are optimised by `find_design`.
+    Without a guess, orbits of one mode's family by `find_design`, which also takes special points. Near a guess a plain
+    orbit is solved from each start, and Ipopt (Waechter and Biegler 2006) goes on from there with exact second
+    derivatives, by collocation. Distinct optima are made final on finer meshes and compared with plain orbits.
 
     Arguments:
-        model: an `OdeModel`.
-        objective: a name (of a state, an output, a parameter, "period", "Omega" or "hamiltonian") or an expression in
-            states and parameters, taken at phase zero.
+        chain_or_model: a `Chain` of finitely many sites, or an `OdeModel`.
+        mode, S: of a family: its mode, and the total amplitude of its orbit or of the first start; with a list of S
+            there is one orbit at each, and functions get the tuple of them. The objective is a name or a function of
+            the orbit, as in `find_design`.
+        objective: near a guess a name (of a state, an output, a parameter, "period", "Omega" or "hamiltonian") or an
+            expression in states and parameters, taken at phase zero.
         running: a name or an expression whose mean over the period is added to the objective.
         free: names of the free parameters.
         bounds: (lower, upper) by name, None where there is none: of free parameters, of quantities, and of states over
@@ -240,22 +248,54 @@ def search_orbit(
             `intervals` may be given as well, as in `find_orbit`.
         starts: number of starts: the own parameters first, then a Halton sequence within the bounds.
         seed: of that sequence.
-        workers, executor: processes that share the starts. Functions then have to be at the top of a module.
-        progress: called with a `SearchProgress` at iterations and at the end of every start.
+        workers, executor: near a guess, processes that share the starts. Functions then have to be at the top of a
+            module.
+        progress: called with a `SearchProgress` at iterations and at the end of every start; of a family with words.
 
     Returns:
         A `SearchResult`: distinct optima, best first, and why the search ended. Ctrl-C ends it with the best so far.
+        Of a family a `Design`, which has these by the same names.
 
     Raises:
         ValueError, TypeError: arguments that are not accepted, before anything is solved.
     """
     truth("maximise", maximise)
-    if not isinstance(model, cast(Any, OdeModel)):
-        accepted = "an OdeModel with a guess of an orbit; orbits of families are optimised by `find_design`"
-        raise TypeError(f"model: given {short_repr(model)}; accepted: {accepted}")
+    if not isinstance(chain_or_model, cast(Any, OdeModel if guess is not None else Chain | OdeModel)):
+        accepted = "an OdeModel" if guess is not None else "a Chain or an OdeModel"
+        raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: {accepted}")
+    if guess is None:
+        given = {"free": free, "bounds": bounds, "constraints": constraints, "maximise": maximise, **stated}
+        check_options("search_orbit", stated, search_orbit, _of_family)
+        return _of_family(chain_or_model, starts=starts, seed=seed, progress=progress, **given)
     problem = OrbitSearch.of(
-        model, guess=guess, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
+        chain_or_model, guess=guess, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
     )
     numbers = {name: whole(name, value, least) for name, value, least in (("starts", starts, 1), ("seed", seed, 0))}
     first = problem.starts(numbers["starts"], numbers["seed"])
     return search(problem, first, progress=progress, workers=workers, executor=executor)
+
+
+def _of_family(
+    chain_or_model: Chain | OdeModel, *, objective: Any = None, mode: int | str | None = None, S: Any = 1.0,
+    parameters: Mapping[str, float] | None = None, tolerance: float = 1e-8, free: Sequence[str],
+    bounds: Mapping[str, Any] | None, constraints: Sequence[Any], maximise: bool, starts: int, seed: int,
+    progress: Callable[[Any], None] | None,
+) -> Design:  # fmt: skip
+    """The design of the same arguments: functions of several orbits get the tuple of them."""
+    several = isinstance(S, list | tuple | np.ndarray)
+    amplitudes = real_array("S", S).ravel().tolist()
+    if not amplitudes or min(amplitudes) <= 0:
+        raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
+    number_within("tolerance", tolerance, 1e-12, 1e-2)
+    checked_conditions(constraints, (str, Callable), "a function of the orbits")
+    count, seed = whole("starts", starts, 1), whole("seed", seed, 0)
+
+    def joined(quantity: Any) -> Any:
+        if several and isinstance(quantity, str):
+            return f"a.{quantity}"
+        return (lambda *known: quantity(known)) if several and callable(quantity) else quantity
+
+    held = [(joined(c[0]), *c[1:]) if isinstance(c, list | tuple) else joined(c) for c in constraints]
+    of = family_starts(chain_or_model, mode, amplitudes, parameters, tolerance)
+    problem = DesignProblem.of(joined(objective), of, free, held, bounds, maximise)
+    return best_design(problem, problem.places(count, seed), tolerance, progress)

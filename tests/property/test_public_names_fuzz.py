@@ -167,7 +167,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     ),
     "search_orbit": (
         lambda: search_orbit,
-        {"model": VAN_DER_POL, "objective": "period", "running": None, "free": ("mu",),
+        {"chain_or_model": VAN_DER_POL, "objective": "period", "running": None, "free": ("mu",),
          "bounds": {"mu": (0.05, 0.1)}, "constraints": (), "starts": 1, "guess": circle, "period": 6.3, "select": None,
          "section": None, "symmetric": False, "cycles": 1, "parameters": {"mu": 0.1}, "tolerance": 1e-3,
          "intervals": 10},

@@ -11,7 +11,16 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipk
 
-from casadi_skin import Chain, OdeModel, find_design, find_equilibrium, find_orbit, follow_family, pareto_front
+from casadi_skin import (
+    Chain,
+    OdeModel,
+    find_design,
+    find_equilibrium,
+    find_orbit,
+    follow_family,
+    pareto_front,
+    search_orbit,
+)
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.optimise.design_problem import DesignProblem
 from casadi_skin.optimise.designs import Design, quantities_of
@@ -526,3 +535,58 @@ def test_families_that_are_no_sums_of_odd_cosines_are_refused() -> None:
     even = OdeModel("even", q, -q - q**2, ca.SX(0, 1), 2, v, reversal=(1, -1))
     with pytest.raises(ValueError, match="of: given an orbit of even; accepted in a family: one of second order that"):
         find_design("Omega", member(even, 1, 0.02), over=["S"])
+
+
+# Searches over a family, as scripts state them ------------------------------------------------------------------------
+
+
+def test_a_search_over_a_family_is_its_design() -> None:
+    result = search_orbit(
+        SHORT, objective="S", maximise=True, free=("S", "gamma"), bounds={"S": (0.01, 3.0), "gamma": (0.0, 0.9)},
+        constraints=[lambda o: o.Omega - o.upper_cutoff], starts=2, seed=1,
+    )  # fmt: skip
+    best = result.best
+    assert "SLSQP" in result.engine
+
+    def threshold(gamma: float) -> float:
+        """S at which the family itself leaves the band."""
+        chain = Chain(SHORT.sites, SHORT.alpha, gamma, SHORT.g)
+        cutoff = float(np.sqrt(chain.band()[1]))
+        return float(follow_family(chain, "last", 3.0, at_Omega=[cutoff], tolerance=1e-9).at(Omega=cutoff).S)
+
+    assert best.S == best.objective == pytest.approx(threshold(best.gamma), rel=1e-7)
+    assert all(threshold(best.gamma + off) < best.S for off in (0.02, -0.02))
+    assert best.orbit.Omega == best.Omega
+    assert [one.objective for one in result.optima] == sorted((one.objective for one in result.optima), reverse=True)
+    with pytest.raises(AttributeError, match="design: given nothing; accepted: "):
+        best.nothing  # noqa: B018
+
+
+def test_functions_of_a_search_at_several_amplitudes_get_the_tuple_of_their_orbits() -> None:
+    uniform = Chain(SHORT.sites, 0.9, SHORT.gamma, SHORT.g)
+    targets = [member(uniform, S=0.2).Omega, 1.002 * member(uniform, S=0.6).Omega]
+    result = search_orbit(
+        SHORT, S=(0.2, 0.6), objective="roughness", free=("alpha_n",), bounds={"alpha_n": (0.7, 1.3)},
+        constraints=[lambda orbits: ca.vertcat(*(o.Omega - w for o, w in zip(orbits, targets, strict=True)))], starts=1,
+    )  # fmt: skip
+    assert [orbit.Omega for orbit in result.best.orbits] == pytest.approx(targets, abs=1e-8)
+    assert result.best.objective > 0.0
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"S": -1.0}, "S: given -1.0; accepted: a finite number > 0"),
+        ({"objective": "Omga"}, "given 'Omga'; did you mean Omega? accepted: "),
+        ({"bound": {}}, "search_orbit: given the option 'bound'; did you mean bounds?"),
+        ({"constraints": 3}, "constraints: given 3; accepted: a list of items"),
+        ({"starts": 0}, "starts: given 0; accepted: "),
+        ({"tolerance": 1.0}, "tolerance: given 1.0; accepted: "),
+    ],
+)
+def test_a_search_over_a_family_refuses_what_cannot_be_meant(given: dict[str, Any], words: str) -> None:
+    stated = {"objective": "Omega", "free": ("S",), "bounds": {"S": (0.1, 0.2)}} | given
+    with pytest.raises((ValueError, TypeError)) as told:
+        search_orbit(SHORT, **stated)
+    assert words in str(told.value)
+    assert "\n" not in str(told.value)
