@@ -21,7 +21,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import LARGEST_FAMILY_SIZE
 from casadi_skin.model.arguments import whole
 from casadi_skin.model.polynomial import NotPolynomialError
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, in_turn
 from casadi_skin.zero.amplitude_series import amplitude_series
 from casadi_skin.zero.cosines import PolynomialForm
 from casadi_skin.zero.problem import Array
@@ -111,6 +111,7 @@ class FamilySeries(Result):
         return np.asarray(np.cos(np.outer(theta, self.harmonics)) @ cosines)
 
 
+@in_turn
 def series(branch: Branch, order: int = 20) -> FamilySeries:
     """The family as a power series about its linear mode, with its radius of convergence.
 
