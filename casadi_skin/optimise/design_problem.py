@@ -66,15 +66,17 @@ class DesignProblem:
     def of(
         cls, quantity: Quantity, of: Any, over: Sequence[str], subject_to: Sequence[Any],
         bounds: Mapping[str, Any] | None, maximise: bool,
+        words: tuple[str, str, str] = ("quantity", "over", "subject_to"),
     ) -> DesignProblem:  # fmt: skip
-        """From the arguments of `find_design`; raises ValueError and TypeError."""
+        """From the arguments of `find_design`; raises ValueError and TypeError, which call three of them by `words`."""
+        of_quantity, of_over, of_conditions = words
         starts, known = _by_name(of), dict[str, FreeNumber]()
         for one in starts.values():
             known = one.free | known
-        named = free_names(over, known, "over")
+        named = free_names(over, known, of_over)
         families = [one for one in starts.values() if isinstance(one, FamilyStart)]
         if "S" in named and len(families) > 1:
-            raise ValueError("over: given S with several orbits; accepted: S with one orbit")
+            raise ValueError(f"{of_over}: given S with several orbits; accepted: S with one orbit")
         names = tuple(single for name in named for single in known[name].several or (name,))
         expressions = {name: one.expressions(names) for name, one in starts.items()}
         quantities = next(iter(expressions.values())).names if len(starts) == 1 else ()
@@ -89,21 +91,21 @@ class DesignProblem:
                 raise ValueError(f"bounds[S]: given {short_repr([low, high])}; accepted: bounds within 0 to inf")
             limits["S"] = max(low, known["S"].lower), high
         conditions = (
-            *checked_conditions(subject_to, (str, Callable), "a function of what is located", "subject_to"),
+            *checked_conditions(subject_to, (str, Callable), "a function of what is located", of_conditions),
             *more,
         )
-        columns = [_column("quantity", quantity, expressions)]
-        columns += [_column(f"subject_to, {c.name}", c.quantity, expressions) for c in conditions]
+        columns = [_column(of_quantity, quantity, expressions)]
+        columns += [_column(f"{of_conditions}, {c.name}", c.quantity, expressions) for c in conditions]
         if columns[0].shape != (1, 1):
-            raise ValueError(f"quantity: given an expression of shape {columns[0].shape}; accepted: a scalar")
+            raise ValueError(f"{of_quantity}: given an expression of shape {columns[0].shape}; accepted: a scalar")
         symbols = ca.vertcat(*(one.symbols for one in expressions.values()))
         column = ca.densify(ca.vertcat(*columns))
         if not ca.depends_on(columns[0], symbols):
-            raise ValueError(f"quantity: given the constant {columns[0]}; accepted: a quantity of what is located")
+            raise ValueError(f"{of_quantity}: given the constant {columns[0]}; accepted: a quantity of what is located")
         equal = sum(c.numel() for c, condition in zip(columns[1:], conditions, strict=True) if condition.equality)
         if equal > len(names):
-            words = f"given {equal} equalities over {len(names)} parameters ({', '.join(names)})"
-            raise ValueError(f"subject_to: {words}; accepted: no more equalities than parameters")
+            given = f"given {equal} equalities over {len(names)} parameters ({', '.join(names)})"
+            raise ValueError(f"{of_conditions}: {given}; accepted: no more equalities than parameters")
         label = quantity if isinstance(quantity, str) else getattr(quantity, "__name__", "objective")
         return cls(
             tuple(starts.values()), tuple(expressions.values()), names, named,

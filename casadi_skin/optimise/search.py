@@ -297,5 +297,6 @@ def _of_family(
 
     held = [(joined(c[0]), *c[1:]) if isinstance(c, list | tuple) else joined(c) for c in constraints]
     of = family_starts(chain_or_model, mode, amplitudes, parameters, tolerance)
-    problem = DesignProblem.of(joined(objective), of, free, held, bounds, maximise)
+    words = "objective", "free", "constraints"
+    problem = DesignProblem.of(joined(objective), of, free, held, bounds, maximise, words)
     return best_design(problem, problem.places(count, seed), tolerance, progress)

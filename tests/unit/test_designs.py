@@ -577,7 +577,9 @@ def test_functions_of_a_search_at_several_amplitudes_get_the_tuple_of_their_orbi
     ("given", "words"),
     [
         ({"S": -1.0}, "S: given -1.0; accepted: a finite number > 0"),
-        ({"objective": "Omga"}, "given 'Omga'; did you mean Omega? accepted: "),
+        ({"free": ("Q",)}, "free: given 'Q'; accepted: S, gamma"),
+        ({"constraints": ["nope"]}, "constraints, nope: given 'nope'; accepted: "),
+        ({"objective": "Omga"}, "objective: given 'Omga'; did you mean Omega? accepted: "),
         ({"bound": {}}, "search_orbit: given the option 'bound'; did you mean bounds?"),
         ({"constraints": 3}, "constraints: given 3; accepted: a list of items"),
         ({"starts": 0}, "starts: given 0; accepted: "),
