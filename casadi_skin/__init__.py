@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from casadi_skin.model.ode import OdeModel as OdeModel
     from casadi_skin.model.saved import read_model as read_model
     from casadi_skin.model.saved import save_model as save_model
-    from casadi_skin.optimise.designs import find_design as find_design
-    from casadi_skin.optimise.designs import pareto_front as pareto_front
-    from casadi_skin.optimise.fit import fit_parameters as fit_parameters
-    from casadi_skin.optimise.kick import smallest_kick as smallest_kick
-    from casadi_skin.optimise.search import search_orbit as search_orbit
     from casadi_skin.results.saving import read_result as read_result
     from casadi_skin.results.saving import save_result as save_result
     from casadi_skin.runs.map import run_map as run_map
     from casadi_skin.runs.map_result import read_map as read_map
+    from casadi_skin.search.designs import find_design as find_design
+    from casadi_skin.search.designs import pareto_front as pareto_front
+    from casadi_skin.search.fit import fit_parameters as fit_parameters
+    from casadi_skin.search.kick import smallest_kick as smallest_kick
+    from casadi_skin.search.search import search_orbit as search_orbit
     from casadi_skin.zero.statement import BoundaryValueProblem as BoundaryValueProblem
 
 PLACES = {  # modules of public names, each imported when one of its names is first used
@@ -55,10 +55,10 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "model.conserved": ("SymmetryClass",),
     "model.ode": ("OdeModel",),
     "model.saved": ("read_model", "save_model"),
-    "optimise.designs": ("find_design", "pareto_front"),
-    "optimise.fit": ("fit_parameters",),
-    "optimise.kick": ("smallest_kick",),
-    "optimise.search": ("search_orbit",),
+    "search.designs": ("find_design", "pareto_front"),
+    "search.fit": ("fit_parameters",),
+    "search.kick": ("smallest_kick",),
+    "search.search": ("search_orbit",),
     "results.saving": ("read_result", "save_result"),
     "runs.map": ("run_map",),
     "runs.map_result": ("read_map",),
@@ -95,18 +95,18 @@ VERBS = {  # of classes by name: each a method, and the function that it is, "mo
         "quantity_of": "results.quantities:sought",
         "series": "follow.family_series:series",
     },
-    "Statement": {"solve": "optimise.boundary_nlp:solve"},
+    "Statement": {"solve": "search.boundary_nlp:solve"},
     "OdeModel": {
         "equations_of_motion": "dynamics.evolution:model_equations",
         "family_coordinates": "zero.model_coordinates:coordinates_of_model",
         "linear_frequencies": "zero.model_coordinates:frequencies_of_model",
         "linear_spectrum": "zero.model_coordinates:spectrum_of_model",
-        "family_equations": "optimise.families:model_equations",
+        "family_equations": "search.families:model_equations",
     },
     "Chain": {
         "equations_of_motion": "dynamics.evolution:chain_equations",
         "family_coordinates": "lattice.chain_coordinates:chain_coordinates",
-        "family_equations": "optimise.families:chain_equations",
+        "family_equations": "search.families:chain_equations",
         "threshold": "dynamics.resonances:threshold",
         "threshold_gradient": "dynamics.resonances:threshold_gradient",
     },

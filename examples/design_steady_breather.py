@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, find_design, follow_family
-from casadi_skin.optimise.designs import Design
 from casadi_skin.results.figures.style import style
+from casadi_skin.search.designs import Design
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, find_design, follow_family
-from casadi_skin.optimise.designs import Design
-from casadi_skin.optimise.families import FamilyExpressions
 from casadi_skin.results.figures.style import style
+from casadi_skin.search.designs import Design
+from casadi_skin.search.families import FamilyExpressions
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.25, g=1.0)
 AMPLITUDES, TARGET = (0.2, 0.4, 0.6, 0.8, 1.0), 2.2

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family, smallest_kick
-from casadi_skin.optimise.kick import SmallestKick
 from casadi_skin.results.figures.style import style
+from casadi_skin.search.kick import SmallestKick
 
 SITES, TIME = 24, 40.0
 

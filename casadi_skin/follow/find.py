@@ -432,7 +432,7 @@ def limits_of(options: Mapping[str, Any]) -> tuple[float | None, Callable[[str],
 def solve(statement: Statement, guess: Guess, **options: Any) -> Solution:
     """The solution of a boundary-value problem without objective and bounds near a guess.
 
-    Arguments and what is raised are those of `casadi_skin.optimise.boundary_nlp.solve`.
+    Arguments and what is raised are those of `casadi_skin.search.boundary_nlp.solve`.
     """
     limit, report = limits_of(options)
     space = space_of(statement, guess, options)

@@ -12,7 +12,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | dense.c | factors of small matrices | `solve.bordered` |
 | equations.c | collocation equations, and Newton steps on finer meshes | `zero.discretisation`, `solve.levels` |
 | splitting.c | steps of a model, transition matrices along orbits | CasADi in `dynamics.evolve`, `stability.flows` |
-| segments.c | steps of a chain with first and second derivatives | `optimise.kick_flow` |
+| segments.c | steps of a chain with first and second derivatives | `search.kick_flow` |
 | program.c, places.c | expressions, operations that are alike together, or at many places | CasADi |
 | rests.c | equilibria along a stretch, and the sides of their eigenvalues | `follow.rest_events` |
 | decoupling.c | bases that make matrices block diagonal | `stability.tongues.blocks` |
@@ -377,7 +377,7 @@ def segments(
     sequence: tuple[Array, Array], chain: tuple[float, float, Array], counts: Indices, h: float, states: Array,
     multipliers: Array | None,
 ) -> tuple[Array, Array, Array | None]:  # fmt: skip
-    """As `optimise.kick_flow.segments`, with kicks and drifts of a step, and stiffness, coupling, cubic terms."""
+    """As `search.kick_flow.segments`, with kicks and drifts of a step, and stiffness, coupling, cubic terms."""
     (kicks, drifts), (stiffness, coupling, cubic), (count, size) = sequence, chain, states.shape
     given = Structure(CHAIN, size // 2, kicks.size, stiffness, coupling, kicks, drifts, cubic)
     after, jacobians = np.empty((count, size)), np.empty((count, size, size + 1))

@@ -27,7 +27,6 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.result import TURN
-from casadi_skin.optimise.designs import Design, best_design
 from casadi_skin.results.quantities import (
     FAMILY_ERRORS,
     FAMILY_PROOFS,
@@ -48,6 +47,7 @@ from casadi_skin.runs.parts import mode_of
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError, check_known
 from casadi_skin.runs.scene import Scene
+from casadi_skin.search.designs import Design, best_design
 from casadi_skin.solve.processes import WorkerEndedError, in_worker
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.kinds import KINDS

@@ -20,7 +20,7 @@ from casadi_skin.zero.family import FamilyRequest, Method, Targets
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
-    from casadi_skin.optimise.design_problem import DesignProblem
+    from casadi_skin.search.design_problem import DesignProblem
     from casadi_skin.zero.orbit import Guess
     from casadi_skin.zero.statement import BoundaryValueProblem
 
@@ -107,7 +107,7 @@ class Request:
 
         Raises ValueError and TypeError for values that are not accepted.
         """
-        from casadi_skin.optimise.design_problem import DesignProblem, family_starts
+        from casadi_skin.search.design_problem import DesignProblem, family_starts
 
         table: Any = self.scene.design
         constraints = [

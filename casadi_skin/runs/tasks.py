@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.dynamics.starts import Spreading
     from casadi_skin.follow.special_points import SpecialPoint
-    from casadi_skin.optimise.designs import Design
+    from casadi_skin.search.designs import Design
 
-ENGINE = "SLSQP on gradients of located solutions"  # the same as in optimise.designs, which loads scipy
+ENGINE = "SLSQP on gradients of located solutions"  # the same as in search.designs, which loads scipy
 PER_PERIOD, FEWEST_TIMES, MOST_TIMES = 20, 401, 4001  # times that are written unless a number of them is given
 
 
@@ -326,9 +326,9 @@ class BestDesign(Task):
 
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:
         """Optimise, and write design.csv, design_path.csv, design.nc and the picture."""
-        from casadi_skin.optimise.designs import best_design
         from casadi_skin.results.figures.designs import design_figure
         from casadi_skin.results.tables import write_design
+        from casadi_skin.search.designs import best_design
 
         scene, asked = self.request.scene, self.asked
         run.progress.say("designing")

@@ -73,7 +73,7 @@ class Statement(WithVerbs):
     objective: Expression | None = None
     running: Expression | None = None
     solve: ClassVar[Callable[..., Any]]
-    """The solution near a guess, with an objective or bounds the optimum: `casadi_skin.optimise.boundary_nlp.solve`."""
+    """The solution near a guess, with an objective or bounds the optimum: `casadi_skin.search.boundary_nlp.solve`."""
 
     def __post_init__(self) -> None:
         self._check_kinds()

@@ -123,7 +123,7 @@ def test_a_long_list_is_checked_in_little_time() -> None:
 def test_a_design_on_many_sites_is_planned_without_an_orbit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     chain, path = CHAIN.partition("[family]")[0], tmp_path / "scene.toml"
     design = '[design]\nquantity = "Omega_slope"\nmode = 1\nS = 0.1\nover = ["gamma"]\nbounds = { gamma = [0, 0.5] }\n'
-    monkeypatch.setattr("casadi_skin.optimise.design_problem.follow_family", lambda *_, **__: pytest.fail("solved"))
+    monkeypatch.setattr("casadi_skin.search.design_problem.follow_family", lambda *_, **__: pytest.fail("solved"))
     path.write_text(chain.replace("= 3", "= 30000") + design)
     words = dict(plan_lines(bound(read_scene(path), path), measure=False))
     assert words["design"] == "smallest Omega_slope of the orbits at S = 0.1"

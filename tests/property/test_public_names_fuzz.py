@@ -49,7 +49,7 @@ from casadi_skin import (
     smallest_kick,
 )
 from casadi_skin.follow.space import BoundaryError
-from casadi_skin.optimise.kick import KickError
+from casadi_skin.search.kick import KickError
 from casadi_skin.stability.flows import FlowError
 
 LONGEST = 20  # seconds that a call may take; what takes longer has started work, and is stopped

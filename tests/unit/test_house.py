@@ -16,7 +16,7 @@ FLOORS = (  # from the ground up; rooms of one floor may import from each other
     {"stability"},
     {"follow"},
     {"points", "dynamics"},
-    {"certify", "optimise"},
+    {"certify", "search"},
     {"export", "fmu"},
     {"results"},
     {"runs"},

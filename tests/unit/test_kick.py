@@ -17,14 +17,14 @@ import pytest
 from apart import killing
 from scipy.optimize import brentq
 
-import casadi_skin.optimise.kick
+import casadi_skin.search.kick
 from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
 from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
-from casadi_skin.optimise.kick import KickError, SmallestKick, kick_norm
-from casadi_skin.optimise.kick_nlp import reach
-from casadi_skin.optimise.search_problem import CosineOrbit
+from casadi_skin.search.kick import KickError, SmallestKick, kick_norm
+from casadi_skin.search.kick_nlp import reach
+from casadi_skin.search.search_problem import CosineOrbit
 from casadi_skin.solve.processes import SearchProgress
 
 
@@ -173,11 +173,11 @@ def test_reach_is_the_least_radius_of_curvature_of_a_bent_loop() -> None:
 @pytest.mark.slow
 def test_steps_that_are_too_long_are_halved_until_cvodes_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     fine, orbit = found(2.0), breather()
-    monkeypatch.setattr("casadi_skin.optimise.kick_nlp.STEP_RADIANS", 2.2)  # 12 steps
+    monkeypatch.setattr("casadi_skin.search.kick_nlp.STEP_RADIANS", 2.2)  # 12 steps
     coarse = smallest_kick(orbit, fine.time, starts=1)
     assert abs(coarse.reached - 0.5) < 1e-6
     assert coarse.norm == pytest.approx(fine.norm, rel=1e-4)
-    monkeypatch.setattr("casadi_skin.optimise.kick.MOST_REFINEMENTS", 0)
+    monkeypatch.setattr("casadi_skin.search.kick.MOST_REFINEMENTS", 0)
     with pytest.raises(KickError, match=r"CVODES gives .* in place of 0.5 .* with 12 steps"):
         smallest_kick(orbit, fine.time, starts=1)
 
@@ -210,9 +210,9 @@ def test_an_interrupted_check_keeps_the_best(name: str, monkeypatch: pytest.Monk
     def interrupted(*arguments: Any) -> Any:
         monkeypatch.undo()
         os.kill(os.getpid(), signal.SIGINT)
-        return getattr(casadi_skin.optimise.kick, name)(*arguments)
+        return getattr(casadi_skin.search.kick, name)(*arguments)
 
-    monkeypatch.setattr(f"casadi_skin.optimise.kick.{name}", interrupted)
+    monkeypatch.setattr(f"casadi_skin.search.kick.{name}", interrupted)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=1)
     assert kick.interrupted
     assert kick.norm == pytest.approx(known.norm, rel=0.05)
@@ -279,7 +279,7 @@ def test_what_the_progress_callback_raises_arrives() -> None:
 
 def test_without_an_optimum_the_best_start_is_kept_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     least = found(2.0, starts=1).norm
-    monkeypatch.setattr("casadi_skin.optimise.kick_nlp.MOST_ITERATIONS", 2)
+    monkeypatch.setattr("casadi_skin.search.kick_nlp.MOST_ITERATIONS", 2)
     kick = smallest_kick(breather(), 2.0 * breather().period, starts=2)
     assert not kick.converged
     assert "no optimum (Ipopt: the iteration did not converge in the steps allowed)" in kick.status

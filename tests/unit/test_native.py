@@ -29,7 +29,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import Monomials
 from casadi_skin.native import orbits
 from casadi_skin.native.dense import DenseKernel
-from casadi_skin.optimise.kick_flow import ChainForce
+from casadi_skin.search.kick_flow import ChainForce
 from casadi_skin.solve.bordered import BorderedSolver, CompiledFactors
 from casadi_skin.stability.closed_maps import Multipliers, Spectrum, Trivial, multipliers_along
 from casadi_skin.stability.flows import JacobianAlong, SplittingMap, srkn_step

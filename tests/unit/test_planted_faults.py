@@ -15,7 +15,7 @@ from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Si
 from casadi_skin.dynamics import evolve
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.follow.find import packed, space_of
-from casadi_skin.optimise.designs import undominated
+from casadi_skin.search.designs import undominated
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.stated_problem import BoundaryProblem
 

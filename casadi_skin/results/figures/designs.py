@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_skin.optimise.designs import Design
-from casadi_skin.optimise.search import SearchResult
-from casadi_skin.optimise.search_problem import CosineOrbit, Ending
 from casadi_skin.results.figures.style import blank, drawn, finished, number, number_sites, plain
+from casadi_skin.search.designs import Design
+from casadi_skin.search.search import SearchResult
+from casadi_skin.search.search_problem import CosineOrbit, Ending
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,9 +20,9 @@ from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import FAMILY
 from casadi_skin.follow.special_points import SpecialPoint, locate_rest, special_orbit, special_point
 from casadi_skin.model.arguments import accepted_names, short_repr
-from casadi_skin.optimise.families import FamilyStart, FreeNumber
 from casadi_skin.points.edges import parameters_of
 from casadi_skin.points.gradient import Gradient
+from casadi_skin.search.families import FamilyStart, FreeNumber
 from casadi_skin.zero.kinds import EDGE, HOPF
 from casadi_skin.zero.problem import Array
 

@@ -19,8 +19,8 @@ import numpy as np
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import check_name, number, short_repr, with_error
 from casadi_skin.model.result import Result, in_turn
-from casadi_skin.optimise.design_problem import DesignProblem
-from casadi_skin.optimise.designs import Search
+from casadi_skin.search.design_problem import DesignProblem
+from casadi_skin.search.designs import Search
 from casadi_skin.zero.problem import Array
 
 LEAST_SQUARES_RTOL = 1e-10  # of the sum of squares, of parameters and of gradients, at which the least is reached

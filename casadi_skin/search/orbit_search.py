@@ -17,8 +17,8 @@ from casadi_skin.model.arguments import accepted_names, short_repr, truth, whole
 from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.optimise.boundary_nlp import BoundaryNlp, Refined, refined
-from casadi_skin.optimise.search_problem import (
+from casadi_skin.search.boundary_nlp import BoundaryNlp, Refined, refined
+from casadi_skin.search.search_problem import (
     Condition,
     Optimum,
     Outcome,

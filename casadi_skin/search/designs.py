@@ -21,9 +21,9 @@ import numpy as np
 
 from casadi_skin.model.arguments import accepted_names, function_of, number_within, truth, whole
 from casadi_skin.model.result import Result, in_turn
-from casadi_skin.optimise.design_problem import DesignProblem, Quantity, Rows
-from casadi_skin.optimise.located import LocatedThing
-from casadi_skin.optimise.search_problem import checked_conditions
+from casadi_skin.search.design_problem import DesignProblem, Quantity, Rows
+from casadi_skin.search.located import LocatedThing
+from casadi_skin.search.search_problem import checked_conditions
 from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.problem import EPSILON, Array
 

@@ -18,11 +18,11 @@ from casadi_skin.model.arguments import check_options, number_within, short_repr
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import Result, in_turn
-from casadi_skin.optimise.design_problem import DesignProblem, family_starts
-from casadi_skin.optimise.designs import Design, best_design
-from casadi_skin.optimise.nlp import FLAT_CURVATURE
-from casadi_skin.optimise.orbit_search import OrbitSearch
-from casadi_skin.optimise.search_problem import (
+from casadi_skin.search.design_problem import DesignProblem, family_starts
+from casadi_skin.search.designs import Design, best_design
+from casadi_skin.search.nlp import FLAT_CURVATURE
+from casadi_skin.search.orbit_search import OrbitSearch
+from casadi_skin.search.search_problem import (
     FEASIBLE_VIOLATION,
     Ending,
     Optimum,

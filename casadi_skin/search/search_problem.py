@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.model.arguments import accepted_names, number, short_repr
-from casadi_skin.optimise.nlp import STOPPED_STATUS, Kkt, Nlp, Optimality, Solution, Stated, optimality
+from casadi_skin.search.nlp import STOPPED_STATUS, Kkt, Nlp, Optimality, Solution, Stated, optimality
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import Array
