@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from casadi_skin.results.saving import save_result as save_result
     from casadi_skin.runs.map import run_map as run_map
     from casadi_skin.runs.map_result import read_map as read_map
-    from casadi_skin.search.designs import find_design as find_design
+    from casadi_skin.search.designs import optimise as optimise
     from casadi_skin.search.designs import pareto_front as pareto_front
     from casadi_skin.search.fit import fit_parameters as fit_parameters
     from casadi_skin.search.kick import smallest_kick as smallest_kick
@@ -55,7 +55,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "model.conserved": ("SymmetryClass",),
     "model.ode": ("OdeModel",),
     "model.saved": ("read_model", "save_model"),
-    "search.designs": ("find_design", "pareto_front"),
+    "search.designs": ("optimise", "pareto_front"),
     "search.fit": ("fit_parameters",),
     "search.kick": ("smallest_kick",),
     "search.search": ("search_orbit",),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, find_design, follow_family
+from casadi_skin import Chain, follow_family, optimise
 from casadi_skin.results.figures.style import style
 from casadi_skin.search.designs import Design
 
@@ -19,7 +19,7 @@ CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 @style()
 def main(picture: Path | str | None = None) -> Design:
     """The largest S at which the family j = N reaches the upper cutoff of the infinite chain, over gamma."""
-    result = find_design(
+    result = optimise(
         "S",
         of=follow_family(CHAIN, "last", 1.0).orbits[-1],
         over=("S", "gamma"),

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_design, find_equilibrium
+from casadi_skin import OdeModel, find_equilibrium, optimise
 from casadi_skin.results.figures.style import style
 from casadi_skin.search.designs import Design
 
@@ -32,7 +32,7 @@ def main(picture: Path | str | None = None) -> Design:
     branch = find_equilibrium(LORENZ, [8.0, 8.0, 19.0], parameters=OWN).follow("r", 30.0)
     (hopf,) = (point for point in branch.special_points if point.kind == "hopf")
     bounds = {"sigma": (5.0, 20.0), "beta": (1.0, 6.0), "r": (30.0, None)}
-    result = find_design(change, of=hopf, over=["sigma", "beta"], bounds=bounds)
+    result = optimise(change, of=hopf, over=["sigma", "beta"], bounds=bounds)
     if picture is not None:
         draw(result).savefig(picture, dpi=150)
     return result

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, find_design, follow_family
+from casadi_skin import Chain, follow_family, optimise
 from casadi_skin.results.figures.style import style
 from casadi_skin.search.designs import Design
 
@@ -20,7 +20,7 @@ CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 def main(picture: Path | str | None = None) -> Design:
     """The gamma at which the frequency of the end breather changes least with its amplitude."""
     orbit = follow_family(CHAIN, "last", 1.0).orbits[-1]
-    result = find_design("Omega_slope", of=orbit, over=["gamma"], bounds={"gamma": (0.0, 0.9)})
+    result = optimise("Omega_slope", of=orbit, over=["gamma"], bounds={"gamma": (0.0, 0.9)})
     if picture is not None:
         draw(result).savefig(picture, dpi=150)
     return result

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, find_design, follow_family
+from casadi_skin import Chain, follow_family, optimise
 from casadi_skin.results.figures.style import style
 from casadi_skin.search.designs import Design
 from casadi_skin.search.families import FamilyExpressions
@@ -28,7 +28,7 @@ def off_target(*orbits: FamilyExpressions) -> ca.SX:
 def main(picture: Path | str | None = None) -> Design:
     """The smoothest on-site stiffness alpha_n, between 0.7 and 1.3, with Omega(S) on target at five S."""
     branch = follow_family(CHAIN, "last", AMPLITUDES[-1], at=AMPLITUDES)
-    result = find_design(
+    result = optimise(
         "a.roughness",
         of=[branch.at(S=S) for S in AMPLITUDES],
         over=["alpha_n"],

@@ -187,7 +187,7 @@ class Chain(WithOwnParameters):
     equations_of_motion: ClassVar[Callable[..., Any]]
     """The equations of motion with their gauge; see `dynamics.evolve`. Raises ValueError for an infinite chain."""
     family_equations: ClassVar[Callable[..., Any]]
-    """The equations of its families with parameters free; see `find_design`."""
+    """The equations of its families with parameters free; see `optimise`."""
     threshold: ClassVar[Callable[..., float]]
     """S at which the end breather of the infinite chain is born: `casadi_skin.dynamics.resonances.threshold`."""
     threshold_gradient: ClassVar[Callable[..., Any]]

@@ -77,7 +77,7 @@ class OdeModel(Equations, WithVerbs):
     """Its linear modes; see `zero.model_coordinates`."""
 
     family_equations: ClassVar[Callable[..., Any]]
-    """The equations of its families with parameters free; see `find_design`."""
+    """The equations of its families with parameters free; see `optimise`."""
 
     def tunable_model(self) -> OdeModel:
         """The model with its parameters as symbols, as every other model hands it in: itself."""

@@ -68,7 +68,7 @@ class DesignProblem:
         bounds: Mapping[str, Any] | None, maximise: bool,
         words: tuple[str, str, str] = ("quantity", "over", "subject_to"),
     ) -> DesignProblem:  # fmt: skip
-        """From the arguments of `find_design`; raises ValueError and TypeError, which call three of them by `words`."""
+        """From the arguments of `optimise`; raises ValueError and TypeError, which call three of them by `words`."""
         of_quantity, of_over, of_conditions = words
         starts, known = _by_name(of), dict[str, FreeNumber]()
         for one in starts.values():

@@ -141,7 +141,7 @@ class Design(Result):
 
 
 @in_turn
-def find_design(
+def optimise(
     quantity: Quantity,
     of: Any,
     *,
@@ -195,7 +195,7 @@ def best_design(
         if one is not None and not any(one.is_near(other) for other in found):
             found.append(one)
     if not found:
-        raise ArithmeticError("find_design: what is optimised is not located at any start")
+        raise ArithmeticError("optimise: what is optimised is not located at any start")
     found.sort(key=lambda one: (not one.found, -one.value if problem.maximise else one.value))
     return replace(found[0], others=tuple(one for one in found[1:] if one.found))
 
@@ -482,7 +482,7 @@ def pareto_front(
     Arguments:
         first, second: names of quantities, or formulas.
         points: number of points.
-        of, over, starts, seed, tolerance, subject_to, bounds: as in `find_design`; each point starts from the one
+        of, over, starts, seed, tolerance, subject_to, bounds: as in `optimise`; each point starts from the one
             before as well.
 
     Raises:

@@ -78,7 +78,7 @@ def fit_parameters(
 
     Arguments:
         measured: a list of (special point, value, standard deviation): the value is that of the parameter in which the
-            point was located; or of (solution, quantity, value, standard deviation), with a name that `find_design`
+            point was located; or of (solution, quantity, value, standard deviation), with a name that `optimise`
             takes. The points and solutions are those of the model at the first guess.
         over: names of the parameters that are fitted; all others keep the values of each point.
         bounds: (lower, upper) of these by name, None where there is none.

@@ -225,7 +225,7 @@ def search_orbit(
 ) -> SearchResult | Design:
     """Find the periodic orbits that optimise an objective over free parameters, from many starts.
 
-    Without a guess, orbits of one mode's family by `find_design`, which also takes special points. Near a guess a plain
+    Without a guess, orbits of one mode's family by `optimise`, which also takes special points. Near a guess a plain
     orbit is solved from each start, and Ipopt (Waechter and Biegler 2006) goes on from there with exact second
     derivatives, by collocation. Distinct optima are made final on finer meshes and compared with plain orbits.
 
@@ -233,7 +233,7 @@ def search_orbit(
         chain_or_model: a `Chain` of finitely many sites, or an `OdeModel`.
         mode, S: of a family: its mode, and the total amplitude of its orbit or of the first start; with a list of S
             there is one orbit at each, and functions get the tuple of them. The objective is a name or a function of
-            the orbit, as in `find_design`.
+            the orbit, as in `optimise`.
         objective: near a guess a name (of a state, an output, a parameter, "period", "Omega" or "hamiltonian") or an
             expression in states and parameters, taken at phase zero.
         running: a name or an expression whose mean over the period is added to the objective.

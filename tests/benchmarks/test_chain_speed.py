@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from stopwatch import seconds
 
-from casadi_skin import Chain, find_design, follow_family, smallest_kick
+from casadi_skin import Chain, follow_family, optimise, smallest_kick
 from casadi_skin.dynamics import evolve
 
 pytestmark = pytest.mark.benchmark
@@ -36,7 +36,7 @@ def test_the_end_breather_that_is_hardest_to_make(record: Record) -> None:
     orbit = follow_family(Chain(24, 1.0, 0.4, 1.0), "last", 1.0).orbits[-1]
 
     def hardest() -> float:
-        found = find_design(
+        found = optimise(
             "S", orbit, over=("S", "gamma"), bounds={"S": (0.01, 2.0), "gamma": (0.0, 0.95)}, maximise=True,
             subject_to=[lambda o: o.Omega - o.upper_cutoff],
         )  # fmt: skip

@@ -35,10 +35,10 @@ from casadi_skin import (
     Chain,
     OdeModel,
     Orbit,
-    find_design,
     find_equilibrium,
     find_orbit,
     follow_family,
+    optimise,
     read_result,
     save_result,
     simulate,
@@ -149,7 +149,7 @@ def evolved(model: OdeModel) -> bytes:
 def designed(chain: Chain) -> tuple[float, ...]:
     bounds = {"S": (0.1, 1.0), "gamma": (0.0, 0.3)}
     orbit = follow_family(chain, "last", 1.0).orbits[-1]
-    best = find_design("Omega", orbit, over=("S", "gamma"), bounds=bounds)
+    best = optimise("Omega", orbit, over=("S", "gamma"), bounds=bounds)
     return best.value, best["S"], best["gamma"]
 
 

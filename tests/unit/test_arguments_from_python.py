@@ -16,11 +16,11 @@ from casadi_skin import (
     Lattice,
     OdeModel,
     Site,
-    find_design,
     find_equilibrium,
     find_orbit,
     follow_family,
     import_fmu,
+    optimise,
     search_orbit,
     smallest_kick,
 )
@@ -306,7 +306,7 @@ def test_options_of_other_names_are_refused_with_the_nearest() -> None:
     with pytest.raises(ValueError, match=r"^options: given 'bound'; accepted: tolerance"):
         search_orbit(problem.model, guess=[1.0], free=["x"], bound={"x": (0.1, 1.0)})
     with pytest.raises(TypeError, match="unexpected keyword argument 'free'"):
-        find_design("S", rest, free=["S"])  # type: ignore[call-arg]
+        optimise("S", rest, free=["S"])  # type: ignore[call-arg]
     with pytest.raises(KeyError, match=r"q; known: S, alpha, gamma, g"):
         follow_family(chain, 1, 0.1)["q"]
 

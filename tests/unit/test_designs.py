@@ -14,10 +14,10 @@ from scipy.special import ellipk
 from casadi_skin import (
     Chain,
     OdeModel,
-    find_design,
     find_equilibrium,
     find_orbit,
     follow_family,
+    optimise,
     pareto_front,
     search_orbit,
 )
@@ -104,7 +104,7 @@ def test_one_stiffness_a_site_moves_each_site_alone() -> None:
 def test_one_site_is_duffing() -> None:
     """S at which the frequency is 2: the closed form of Duffing's oscillator."""
     orbit = member(Chain(1, 1.0, 0.0, 1.0))
-    result = find_design("S", orbit, over=["S"], bounds={"S": (0.1, 5), "Omega": (2, 3)})
+    result = optimise("S", orbit, over=["S"], bounds={"S": (0.1, 5), "Omega": (2, 3)})
     assert result.found
     assert result.active == ("Omega >= 2",)
     assert abs(duffing_frequency(3.0, 1.0, amplitude=float(np.sqrt(result.value))) - 2.0) < 1e-9
@@ -129,7 +129,7 @@ def pendulum(**changes: Any) -> OdeModel:
 
 def test_a_pendulum_meets_its_closed_form() -> None:
     """The largest amplitude whose frequency is 0.8 or more, and dOmega/dS there."""
-    result = find_design(
+    result = optimise(
         "S", member(pendulum(), 1), over=["S"], bounds={"S": (0.1, 5.0), "Omega": (0.8, None)}, maximise=True,
         subject_to=[(lambda o: o.Omega_slope, -1.0, 1.0), ("height", None, 2.0)],
     )  # fmt: skip
@@ -147,7 +147,7 @@ def test_the_error_of_the_value_is_at_least_the_true_one(tolerance: float) -> No
     """Of a pendulum that comes near its upper rest: the S at which its frequency is 0.45, in closed form."""
     orbit = follow_family(pendulum(), 1, 1.0, tolerance=1e-3).orbits[-1]
     asked: dict[str, Any] = {"over": ["S"], "bounds": {"S": (0.1, 9.5), "Omega": (0.45, None)}, "maximise": True}
-    result = find_design("S", orbit, tolerance=tolerance, **asked)
+    result = optimise("S", orbit, tolerance=tolerance, **asked)
     S = brentq(lambda S: frequency(S) - 0.45, 5.0, 9.8, xtol=1e-13)
     assert abs(result.value - S) <= result.error <= tolerance * S
 
@@ -156,7 +156,7 @@ def test_several_orbits_of_one_model() -> None:
     """The w whose frequencies at S = 0.5 and 2 have the mean 1.2."""
     branch = follow_family(pendulum(), 1, 2.0, at=[0.5, 2.0])
     two = [branch.at(S=0.5), branch.at(S=2.0)]
-    result = find_design("((a.Omega + b.Omega)/2 - 1.2)^2", two, over=["w"], bounds={"w": (0.5, 4.0)})
+    result = optimise("((a.Omega + b.Omega)/2 - 1.2)^2", two, over=["w"], bounds={"w": (0.5, 4.0)})
     w = (2.4 / (frequency(0.5) + frequency(2.0))) ** 2
     assert result["w"] == pytest.approx(w, abs=1e-7)
     assert [o.Omega for o in result.located] == pytest.approx([frequency(S, w) for S in (0.5, 2.0)], abs=1e-7)
@@ -170,13 +170,13 @@ def slope_of(gamma: float) -> float:
 
 
 def test_least_slope_is_that_of_plain_families_and_of_the_mirrored_chain() -> None:
-    right = find_design("Omega_slope", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)})
+    right = optimise("Omega_slope", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)})
     plain = minimize_scalar(slope_of, bounds=(0.2, 0.8), method="bounded", options={"xatol": 1e-6})
     assert right.reason.startswith("found an optimum inside its bounds")
     assert right.optimality < 1e-7
     assert abs(right["gamma"] - plain.x) < 1e-4
     assert abs(right.value - plain.fun) < 1e-7
-    left = find_design("Omega_slope", member(Chain(6, 1.0, -0.3, 1.0)), over=["gamma"], bounds={"gamma": (-0.8, -0.2)})
+    left = optimise("Omega_slope", member(Chain(6, 1.0, -0.3, 1.0)), over=["gamma"], bounds={"gamma": (-0.8, -0.2)})
     assert abs(right["gamma"] + left["gamma"]) < 1e-6
     assert abs(right.value - left.value) < 1e-10
     np.testing.assert_allclose(np.abs(right.solution.profile), np.abs(left.solution.profile[::-1]), atol=1e-6)
@@ -184,9 +184,9 @@ def test_least_slope_is_that_of_plain_families_and_of_the_mirrored_chain() -> No
 
 @pytest.mark.slow
 def test_a_chain_as_a_model_in_physical_coordinates_has_the_optimum_of_the_chain() -> None:
-    own = find_design("Omega_slope", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)})
+    own = optimise("Omega_slope", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)})
     orbit = member(SHORT.tunable_model(), "last")
-    best = find_design("Omega_slope", orbit, over=["gamma"], bounds={"gamma": (0.2, 0.8)})
+    best = optimise("Omega_slope", orbit, over=["gamma"], bounds={"gamma": (0.2, 0.8)})
     assert best["gamma"] == pytest.approx(own["gamma"], abs=1e-8)
     assert best.value == pytest.approx(own.value, abs=1e-12)
     np.testing.assert_allclose(np.abs(best.solution.profile), np.abs(own.solution.profile), atol=1e-8)
@@ -194,7 +194,7 @@ def test_a_chain_as_a_model_in_physical_coordinates_has_the_optimum_of_the_chain
 
 def test_a_design_on_its_bounds_is_a_member_of_the_family() -> None:
     bounds = {"gamma": (0.1, 0.6), "alpha": (0.5, 2)}
-    result = find_design("participation", member(), over=["gamma", "alpha"], bounds=bounds)
+    result = optimise("participation", member(), over=["gamma", "alpha"], bounds=bounds)
     assert result.found
     assert "gamma <= 0.6" in result.active
     assert "the optimum sits on a bound: gamma <= 0.6" in result.reason
@@ -204,7 +204,7 @@ def test_a_design_on_its_bounds_is_a_member_of_the_family() -> None:
     y = result.solution.evaluate([0.0, result["period"] / 2])
     np.testing.assert_allclose(y[1], -y[0], atol=1e-12)
     # The multiplier is the derivative by the bound: another bound shows it.
-    moved = find_design(
+    moved = optimise(
         "participation", member(), over=["gamma", "alpha"], bounds={**bounds, "gamma": (0.1, 0.601)}
     ).value  # fmt: skip
     assert result.multipliers["gamma <= 0.6"] == pytest.approx((moved - result.value) / 0.001, rel=1e-2)
@@ -219,7 +219,7 @@ def test_an_uneven_chain_meets_its_target() -> None:
         return ca.vertcat(*(orbit.Omega - value for orbit, value in zip(orbits, target, strict=True)))
 
     own = follow_family(SHORT, "last", 0.8, at=[0.3, 0.8])
-    result = find_design(
+    result = optimise(
         "a.roughness", [own.at(S=0.3), own.at(S=0.8)], over=["alpha_n"], bounds={"alpha_n": (0.5, 1.5)},
         subject_to=[off_target],
     )  # fmt: skip
@@ -272,7 +272,7 @@ def hopf_of(sigma: float, beta: float) -> float:
 
 
 def test_the_hopf_point_at_the_least_r_is_that_of_its_closed_form(hopf: Any) -> None:
-    result = find_design("r", hopf, over=["sigma"], bounds={"sigma": (5, 40)})
+    result = optimise("r", hopf, over=["sigma"], bounds={"sigma": (5, 40)})
     b = 8 / 3
     sigma = b + 1 + np.sqrt((b + 1) * (2 * b + 4))  # where the derivative of r_H by sigma vanishes
     assert result["sigma"] == pytest.approx(sigma, abs=1e-6)
@@ -287,9 +287,7 @@ def test_the_least_change_that_keeps_a_hopf_point_beyond_a_value(hopf: Any) -> N
     def change(h: Any) -> Any:
         return (h.sigma - 10) ** 2 + (h.beta - 8 / 3) ** 2
 
-    result = find_design(
-        change, hopf, over=["sigma", "beta"], bounds={"sigma": (5, 40), "beta": (1, 6), "r": (30, None)}
-    )
+    result = optimise(change, hopf, over=["sigma", "beta"], bounds={"sigma": (5, 40), "beta": (1, 6), "r": (30, None)})
 
     def least(sigma: float) -> float:
         beta = brentq(lambda b: hopf_of(sigma, b) - 30, 1, 6, xtol=1e-14)
@@ -309,7 +307,7 @@ def test_the_widest_window_between_two_folds() -> None:
     start = find_equilibrium(model, [-2.0], parameters={"p": -2.0, "a": 1.0, "b": 0.1})
     first, second = (point for point in start.follow("p", 2.0).special_points if point.kind == "fold")
     ends = sorted([first, second], key=lambda point: point.parameters["p"])
-    result = find_design(
+    result = optimise(
         "high.p - low.p - low.b^2", {"low": ends[0], "high": ends[1]}, over=["a", "b"], maximise=True,
         bounds={"a": (0.5, 2.0), "b": (0.05, 5.0)},
     )  # fmt: skip
@@ -342,7 +340,7 @@ def test_a_doubling_is_kept_beyond_a_value_with_the_least_change() -> None:
     branch = orbit.follow("c", 3.2, stability=True)
     doubling = next(p for p in branch.special_points if p.kind == "period doubling")
     assert doubling.parameters["c"] < 3.0
-    result = find_design(
+    result = optimise(
         lambda d: (d.a - 0.2) ** 2 + (d.b - 0.2) ** 2, doubling, over=["a", "b"],
         bounds={"a": (0.05, 0.4), "b": (0.05, 2.0), "c": (3.2, None)},
     )  # fmt: skip
@@ -365,7 +363,7 @@ def test_an_orbit_and_an_equilibrium() -> None:
     model = OdeModel("circle", ca.vertcat(x, y), field, ca.vertcat(mu, a, w, c))
     values = {"mu": 1.0, "a": 1.0, "w": 2.0, "c": 0.5}
     orbit = find_orbit(model, lambda t: [np.cos(1.5 * t), np.sin(1.5 * t)], 4.0, parameters=values)
-    result = find_design(
+    result = optimise(
         "(period - 5)^2 + (x_max - 1.1)^2", orbit, over=["mu", "c"], bounds={"mu": (0.5, 2.0), "c": (0.0, 2.0)}
     )
     assert result["mu"] == pytest.approx(1.21, abs=1e-4)
@@ -375,7 +373,7 @@ def test_an_orbit_and_an_equilibrium() -> None:
     u, p, q = (ca.SX.sym(name) for name in "upq")
     rest = OdeModel("rest", u, p - q * u + p * q**2, ca.vertcat(p, q))  # u = p (1 + q^2)/q, least at q = 1
     state = find_equilibrium(rest, [2.5], parameters={"p": 1.0, "q": 2.0})
-    least = find_design("u", state, over=["q"], bounds={"q": (0.2, 5.0)})
+    least = optimise("u", state, over=["q"], bounds={"q": (0.2, 5.0)})
     assert least["q"] == pytest.approx(1.0, abs=1e-6)
     assert least.value == pytest.approx(2.0, abs=1e-10)
 
@@ -385,7 +383,7 @@ def test_the_first_instability_is_pushed_to_the_largest_S() -> None:
     """Of a short chain over gamma: until the edge of another tongue comes before it, but for a distance."""
     branch = follow_family(Chain(4, 1.0, 0.35, -1.0), 1, 2.2, stability=True)
     edges = {"first": branch.edge(0), "other": branch.edge(2)}
-    result = find_design(
+    result = optimise(
         "first.S", edges, over=["gamma"], bounds={"gamma": (0.2, 0.5)}, maximise=True,
         subject_to=[("other.S - first.S", 1e-3, None)],
     )  # fmt: skip
@@ -403,7 +401,7 @@ def test_the_first_instability_is_pushed_to_the_largest_S() -> None:
 
 
 def test_constraints_that_cannot_be_met_are_named_at_the_nearest_design() -> None:
-    result = find_design("Omega", member(S=0.5), over=["S"], bounds={"S": (0.1, 1.0), "Omega": (4.0, 5.0)},
+    result = optimise("Omega", member(S=0.5), over=["S"], bounds={"S": (0.1, 1.0), "Omega": (4.0, 5.0)},
                          subject_to=[("energy", 0.0, 100.0)])  # fmt: skip
     nearest = member().Omega  # Omega grows with S: the end is nearest
     assert not result.found
@@ -413,7 +411,7 @@ def test_constraints_that_cannot_be_met_are_named_at_the_nearest_design() -> Non
 
 def test_a_flat_direction_is_an_optimum_where_it_is() -> None:
     """One site has no neighbour, so that its frequency does not depend on gamma."""
-    result = find_design("Omega", member(Chain(1, 1.0, 0.25, -1.0), "first", 0.5), over=["gamma"],
+    result = optimise("Omega", member(Chain(1, 1.0, 0.25, -1.0), "first", 0.5), over=["gamma"],
                          bounds={"gamma": (0.1, 0.6)})  # fmt: skip
     assert result.found
     assert (result["gamma"], result.optimality) == (0.25, 0.0)
@@ -423,7 +421,7 @@ def test_a_flat_direction_is_an_optimum_where_it_is() -> None:
 def test_several_starts_lead_to_distinct_optima(hopf: Any) -> None:
     """(r_H - 26)^2 has two minima in sigma, one on each side of the least r_H."""
     asked: dict[str, Any] = {"over": ["sigma"], "bounds": {"sigma": (6, 30)}, "starts": 3, "seed": 1}
-    result = find_design("(r - 26)^2", hopf, **asked)
+    result = optimise("(r - 26)^2", hopf, **asked)
     found = sorted([result["sigma"], *(other["sigma"] for other in result.others)])
     assert [hopf_of(sigma, 8 / 3) for sigma in found] == pytest.approx([26.0, 26.0], abs=1e-3)
     assert len(found) == 2
@@ -431,7 +429,7 @@ def test_several_starts_lead_to_distinct_optima(hopf: Any) -> None:
 
 def test_progress_tells_every_design() -> None:
     told = list[str]()
-    result = find_design("participation", member(), over=["gamma"], bounds={"gamma": (0.1, 0.6)}, progress=told.append)
+    result = optimise("participation", member(), over=["gamma"], bounds={"gamma": (0.1, 0.6)}, progress=told.append)
     assert len(told) == len(result.path) - 1
     assert told[0].startswith("design 1: participation = ")
     assert result.path[0].tolist() == [0.3]
@@ -445,7 +443,7 @@ def test_wrong_derivatives_are_no_optimum(monkeypatch: pytest.MonkeyPatch) -> No
         return rows, slopes + 0.01
 
     monkeypatch.setattr(DesignProblem, "evaluated", wrong)
-    result: Design = find_design("Omega_slope", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)})
+    result: Design = optimise("Omega_slope", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)})
     good = minimize_scalar(slope_of, bounds=(0.2, 0.8), method="bounded").x
     assert not result.found or abs(result["gamma"] - good) > 1e-3
 
@@ -509,32 +507,32 @@ def test_what_cannot_be_meant_is_refused_before_any_solve(
     monkeypatch.setattr(FamilyOrbit, "on", lambda *_: pytest.fail("something was solved"))
     given: dict[str, Any] = {"quantity": "Omega", "of": orbit, "over": ("gamma",)} | changes
     with pytest.raises(kind, match=words) as caught:
-        find_design(given.pop("quantity"), given.pop("of"), **given)
+        optimise(given.pop("quantity"), given.pop("of"), **given)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_several_orbits_and_points_name_whose_a_quantity_is(orbit: Any, hopf: Any) -> None:
     with pytest.raises(ValueError, match="over: given S with several orbits"):
-        find_design("a.S", [orbit, orbit], over=["S"])
+        optimise("a.S", [orbit, orbit], over=["S"])
     with pytest.raises(ValueError, match=r"given 'Omega'; accepted: NAME\.QUANTITY, with a name of a, b"):
-        find_design("Omega", [orbit, orbit], over=["gamma"])
+        optimise("Omega", [orbit, orbit], over=["gamma"])
     with pytest.raises(ValueError, match="over: given 'r'; accepted: sigma, beta"):
-        find_design("r", hopf, over=["r"])
+        optimise("r", hopf, over=["r"])
     with pytest.raises(ValueError, match="quantity: given 'amplitude'; accepted: sigma, beta, r"):
-        find_design("amplitude", hopf, over=["sigma"])
+        optimise("amplitude", hopf, over=["sigma"])
 
 
 def test_names_that_quantities_have_are_refused() -> None:
     model = pendulum(parameter_labels=("slope",))
     with pytest.raises(ValueError, match="pendulum: given a parameter or output called slope; accepted: other names"):
-        find_design("Omega", member(model, 1), over=["S"])
+        optimise("Omega", member(model, 1), over=["S"])
 
 
 def test_families_that_are_no_sums_of_odd_cosines_are_refused() -> None:
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     even = OdeModel("even", q, -q - q**2, ca.SX(0, 1), 2, v, reversal=(1, -1))
     with pytest.raises(ValueError, match="of: given an orbit of even; accepted in a family: one of second order that"):
-        find_design("Omega", member(even, 1, 0.02), over=["S"])
+        optimise("Omega", member(even, 1, 0.02), over=["S"])
 
 
 # Searches over a family, as scripts state them ------------------------------------------------------------------------

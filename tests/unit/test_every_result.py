@@ -29,11 +29,11 @@ from casadi_skin import (
     Lattice,
     OdeModel,
     Site,
-    find_design,
     find_equilibrium,
     find_orbit,
     fit_parameters,
     follow_family,
+    optimise,
     pareto_front,
     read_result,
     search_orbit,
@@ -123,12 +123,12 @@ def kick() -> Any:
 
 def design() -> Any:
     orbit = follow_family(Chain(2, 1.0, 0.25, -1.0), 1, 0.1).orbits[-1]
-    return find_design("Omega", orbit, over=["gamma"], bounds={"gamma": (0.1, 0.3)})
+    return optimise("Omega", orbit, over=["gamma"], bounds={"gamma": (0.1, 0.3)})
 
 
 def design_of_a_point() -> Any:
     point = rest().follow("mu", 0.1).special_points[0]
-    return find_design("mu", point, over=["omega"], bounds={"omega": (0.9, 1.1)})
+    return optimise("mu", point, over=["omega"], bounds={"omega": (0.9, 1.1)})
 
 
 def search() -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from lattices import GAINS, chain, dimer, fput, plane
 
-from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, find_design, follow_family
+from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, follow_family, optimise
 from casadi_skin.lattice.chain import declared_chain
 
 
@@ -235,7 +235,7 @@ def test_lattices_go_to_other_processes_and_to_designs_as_models() -> None:
     changed = lattice.with_nominal((0.7, 1.1, 0.2, -1.0, 2.0))
     assert accelerations(changed, y) == pytest.approx(accelerations(lattice, y, changed.nominal), rel=1e-15)
     orbit = follow_family(lattice, 1, 0.3).orbits[-1]
-    found = find_design("Omega", orbit, over=["u"], bounds={"u": (0.4, 0.6)})
+    found = optimise("Omega", orbit, over=["u"], bounds={"u": (0.4, 0.6)})
     assert (found["u"], found.active) == (pytest.approx(0.4, abs=1e-12), ("u >= 0.4",))
 
 
