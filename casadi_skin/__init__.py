@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from casadi_skin.search.designs import pareto_front as pareto_front
     from casadi_skin.search.fit import fit_parameters as fit_parameters
     from casadi_skin.search.kick import smallest_kick as smallest_kick
-    from casadi_skin.search.search import search_orbit as search_orbit
+    from casadi_skin.search.orbit_search import search_orbit as search_orbit
     from casadi_skin.zero.statement import BoundaryValueProblem as BoundaryValueProblem
 
 PLACES = {  # modules of public names, each imported when one of its names is first used
@@ -58,7 +58,7 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "search.designs": ("optimise", "pareto_front"),
     "search.fit": ("fit_parameters",),
     "search.kick": ("smallest_kick",),
-    "search.search": ("search_orbit",),
+    "search.orbit_search": ("search_orbit",),
     "results.saving": ("read_result", "save_result"),
     "runs.map": ("run_map",),
     "runs.map_result": ("read_map",),

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from casadi_skin import Chain, follow_family, optimise
 from casadi_skin.results.figures.style import style
-from casadi_skin.search.designs import Design
+from casadi_skin.search.design import Design
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.25, g=1.0)
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from casadi_skin import OdeModel, find_equilibrium, optimise
 from casadi_skin.results.figures.style import style
-from casadi_skin.search.designs import Design
+from casadi_skin.search.design import Design
 
 X, Y, Z, SIGMA, R, BETA = (ca.SX.sym(name) for name in ("x", "y", "z", "sigma", "r", "beta"))
 FIELD = ca.vertcat(SIGMA * (Y - X), X * (R - Z) - Y, X * Y - BETA * Z)

@@ -16,8 +16,8 @@ from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.edges import EdgeCurve
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import Cell, unique_names
-from casadi_skin.search.designs import Design
-from casadi_skin.search.search_problem import CosineOrbit
+from casadi_skin.search.cosine_orbit import CosineOrbit
+from casadi_skin.search.design import Design
 from casadi_skin.stability.tongues.diagram import StabilityDiagram, StabilityEdge, Tongue
 from casadi_skin.zero.family import TWO_PI
 from casadi_skin.zero.kinds import Unresolved

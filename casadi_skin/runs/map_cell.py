@@ -47,7 +47,8 @@ from casadi_skin.runs.parts import mode_of
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.rules import SceneError, check_known
 from casadi_skin.runs.scene import Scene
-from casadi_skin.search.designs import Design, best_design
+from casadi_skin.search.design import Design
+from casadi_skin.search.designs import best_design
 from casadi_skin.solve.processes import WorkerEndedError, in_worker
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.kinds import KINDS

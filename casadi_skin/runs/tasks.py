@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.dynamics.starts import Spreading
     from casadi_skin.follow.special_points import SpecialPoint
-    from casadi_skin.search.designs import Design
+    from casadi_skin.search.design import Design
 
-ENGINE = "SLSQP on gradients of located solutions"  # the same as in search.designs, which loads scipy
+ENGINE = "SLSQP on gradients of located solutions"  # the same as in search.design, which loads scipy
 PER_PERIOD, FEWEST_TIMES, MOST_TIMES = 20, 401, 4001  # times that are written unless a number of them is given
 
 

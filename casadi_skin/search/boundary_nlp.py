@@ -21,8 +21,8 @@ from casadi_skin.follow.find import solve as without_objective
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import in_turn
+from casadi_skin.search.conditions import Condition, named
 from casadi_skin.search.nlp import FLAT_CURVATURE, Nlp, Optimality, Solution, optimality
-from casadi_skin.search.search_problem import Condition, named
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
 from casadi_skin.solve.levels import ERROR_SAFETY
 from casadi_skin.zero.orbit import Guess

@@ -17,15 +17,9 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import expression, is_comparison
 from casadi_skin.model.formula import FormulaError, parse_formula
+from casadi_skin.search.conditions import Condition, checked_bounds, checked_conditions, free_names, sampled_starts
 from casadi_skin.search.families import FamilyStart, FreeNumber, check_chain
 from casadi_skin.search.located import LocatedThing, Start, start_of
-from casadi_skin.search.search_problem import (
-    Condition,
-    checked_bounds,
-    checked_conditions,
-    free_names,
-    sampled_starts,
-)
 from casadi_skin.zero.family import FamilyRequest
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statement import named_values

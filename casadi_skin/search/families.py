@@ -28,7 +28,7 @@ from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import accepted_names, short_repr
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.search.search_problem import CosineOrbit
+from casadi_skin.search.cosine_orbit import CosineOrbit
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.cosines import CosineEquations, TrigonometricProblem, quarter_phases

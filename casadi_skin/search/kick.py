@@ -17,9 +17,10 @@ from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result, in_turn
+from casadi_skin.search.cosine_orbit import CosineOrbit
 from casadi_skin.search.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
-from casadi_skin.search.search import distinct
-from casadi_skin.search.search_problem import CosineOrbit, Ending, Outcome, Start, lost_start, solve_start
+from casadi_skin.search.nlp import Ending, Outcome, Start, lost_start, solve_start
+from casadi_skin.search.orbit_search import distinct
 from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor, nlp_reason
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices

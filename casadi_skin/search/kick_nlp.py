@@ -24,9 +24,9 @@ import numpy as np
 from casadi_skin.dynamics.evolve import Splitting
 from casadi_skin.follow.closed_curve import Curve, cosine_curve
 from casadi_skin.follow.solution import Orbit
+from casadi_skin.search.cosine_orbit import CosineOrbit
 from casadi_skin.search.kick_flow import ChainForce
 from casadi_skin.search.nlp import Nlp, Solution, optimality
-from casadi_skin.search.search_problem import CosineOrbit
 from casadi_skin.solve.ipopt import SOLVED_STATUS, Computed
 from casadi_skin.zero.problem import Array, Indices
 

@@ -6,10 +6,11 @@ Every search states its problem as one: an orbit in odd cosines, a boundary-valu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -339,3 +340,133 @@ def _null_space(J: Any) -> Array:
     for _ in range(2):  # the second time takes away the rounding of the first
         basis, _ = np.linalg.qr(project.solve(np.vstack([basis, np.zeros((m, n - m))]))[:n])
     return basis
+
+
+# Starts, and where each leads -----------------------------------------------------------------------------------------
+
+CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
+FEASIBLE_VIOLATION = 1e-9  # violation of a constraint, relative to its terms
+
+
+class Ending(Enum):
+    """End of one start."""
+
+    CONVERGED = "an optimum"
+    INFEASIBLE = "nothing near the start meets the constraints"
+    UNBOUNDED = "ran off without bound"
+    INTERRUPTED = "interrupted"
+    FAILED = "not converged in the iterations allowed"
+    NO_ORBIT = "no orbit to start from"
+    NO_OPTIMUM = "stationary, but no optimum"
+
+
+SEARCH_ENDINGS: Mapping[str, Ending] = {
+    STOPPED_STATUS: Ending.INTERRUPTED,
+    "Diverging_Iterates": Ending.UNBOUNDED,
+    "Infeasible_Problem_Detected": Ending.INFEASIBLE,
+    "Restoration_Failed": Ending.INFEASIBLE,
+}
+
+
+@dataclass(frozen=True)
+class Start:
+    """A start: its number from 1, and the free numbers that it starts from."""
+
+    number: int
+    free: tuple[float, ...]
+    name: str = ""
+
+
+def _empty() -> Array:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Outcome of a start.
+
+    Attributes:
+        start: the start.
+        ending: how it ended.
+        words: the reason: Ipopt's return status, or why there was no orbit.
+        solution: where Ipopt ended; None where there was no orbit to start from.
+        free: the free numbers of the solution.
+        place: the same with frequencies, scaled: optima at a distance below 1e-4 are one.
+        times: of the states in the solution of a boundary-value problem; empty for odd cosines.
+        violation: the largest violation of a constraint relative to its terms.
+        worst: the constraint with the largest violation, and `gap` that violation in its own units.
+    """
+
+    start: Start
+    ending: Ending
+    words: str
+    solution: Solution | None = None
+    free: Array = field(default_factory=_empty)
+    place: Array = field(default_factory=_empty)
+    times: Array = field(default_factory=_empty)
+    violation: float = np.inf
+    worst: str = ""
+    gap: float = np.inf
+
+    @property
+    def last(self) -> tuple[int, float, float]:
+        """Iterations, objective and largest violation."""
+        return (0, np.inf, self.gap) if self.solution is None else (self.solution.iterations, self.objective, self.gap)
+
+    @property
+    def objective(self) -> float:
+        """Objective of the solution; infinite where there is none."""
+        return np.inf if self.solution is None else self.solution.objective
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every constraint is met."""
+        return self.violation <= FEASIBLE_VIOLATION
+
+
+class Startable(Protocol):
+    """A search as one start needs it."""
+
+    def nlp_at(self, start: Start) -> tuple[Nlp, Array]:
+        """The nonlinear programme of a start, and an orbit at its parameters as a point of it.
+
+        Raises ArithmeticError where there is no orbit.
+        """
+
+
+def lost_start(start: Start, words: str) -> Outcome:
+    """Outcome of a start whose processes were ended, in words; it may be run again."""
+    return Outcome(start, Ending.INTERRUPTED, words)
+
+
+def solve_start(problem: Startable, start: Start, monitor: Monitor | None = None) -> Outcome:
+    """Outcome of a start: an orbit there, then Ipopt."""
+    try:
+        nlp, x = problem.nlp_at(start)
+    except ArithmeticError as error:
+        return Outcome(start, Ending.NO_ORBIT, " ".join(str(error).split()))
+    return judged(nlp, start, nlp.solve(x, monitor))
+
+
+def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
+    """The outcome of a solution: an optimum where our own conditions of optimality say so."""
+    ending, x = SEARCH_ENDINGS.get(solution.words, Ending.FAILED), solution.x
+    if not np.all(np.isfinite(x)):
+        return Outcome(start, ending, solution.words, solution)
+    gaps, found = nlp.violations(nlp.residual(x)), optimality(nlp, solution)
+    worst, words = int(np.argmax(gaps)), solution.words
+    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt.largest, gaps[worst]) <= CONVERGED:
+        words = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else words)
+        ending = Ending.CONVERGED if words == solution.words else Ending.NO_OPTIMUM
+    return Outcome(
+        start=start,
+        ending=ending,
+        words=words,
+        solution=solution,
+        free=x[nlp.measured],
+        place=nlp.place_of(x),
+        times=nlp.times(x),
+        violation=found.kkt.violation,
+        worst=nlp.row_name(worst, x),
+        gap=float(gaps[worst]),
+    )

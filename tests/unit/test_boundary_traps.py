@@ -17,10 +17,8 @@ from scipy.integrate import solve_ivp
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
 from casadi_skin.dynamics.evolve import simulate
 from casadi_skin.follow.space import BoundaryError
-from casadi_skin.search.nlp import Solution
-from casadi_skin.search.orbit_search import compared
-from casadi_skin.search.search import same_optimum
-from casadi_skin.search.search_problem import Ending, Outcome, Start
+from casadi_skin.search.nlp import Ending, Outcome, Solution, Start
+from casadi_skin.search.orbit_search import compared, same_optimum
 
 X, Y, Z, MU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu"))
 

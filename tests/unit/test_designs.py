@@ -22,8 +22,9 @@ from casadi_skin import (
     search_orbit,
 )
 from casadi_skin.lattice.closed_forms import duffing_frequency
+from casadi_skin.search.design import Design
 from casadi_skin.search.design_problem import DesignProblem
-from casadi_skin.search.designs import Design, quantities_of
+from casadi_skin.search.designs import quantities_of
 from casadi_skin.search.families import FamilyExpressions, FamilyOrbit, FamilyStart
 
 SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)

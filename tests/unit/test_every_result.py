@@ -46,7 +46,7 @@ from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.model.arguments import with_error
 from casadi_skin.model.result import Result
 from casadi_skin.results.solutions import SAMPLES
-from casadi_skin.search.search_problem import solve_start
+from casadi_skin.search.nlp import solve_start
 
 X, Y, Z, MU, NU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu", "nu"))
 HOPF = OdeModel(

@@ -22,9 +22,9 @@ from casadi_skin import Chain, Orbit, follow_family, smallest_kick
 from casadi_skin.dynamics import distance_from_orbit, evolve
 from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
+from casadi_skin.search.cosine_orbit import CosineOrbit
 from casadi_skin.search.kick import KickError, SmallestKick, kick_norm
 from casadi_skin.search.kick_nlp import reach
-from casadi_skin.search.search_problem import CosineOrbit
 from casadi_skin.solve.processes import SearchProgress
 
 

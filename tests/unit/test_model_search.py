@@ -11,8 +11,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
-from casadi_skin.search.search import SearchResult, SearchStatus
-from casadi_skin.search.search_problem import Ending
+from casadi_skin.search.nlp import Ending
+from casadi_skin.search.orbit_search import SearchResult, SearchStatus
 from casadi_skin.solve.processes import SearchProgress
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_skin.results.figures.style import blank, drawn, finished, number, number_sites, plain
-from casadi_skin.search.designs import Design
-from casadi_skin.search.search import SearchResult
-from casadi_skin.search.search_problem import CosineOrbit, Ending
+from casadi_skin.search.cosine_orbit import CosineOrbit
+from casadi_skin.search.design import Design
+from casadi_skin.search.nlp import Ending
+from casadi_skin.search.orbit_search import SearchResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
