@@ -216,6 +216,8 @@ def threshold(chain: Chain) -> float:
     Depends on alpha, gamma and g alone. Raises ValueError where there is no such family (see `chain_coordinates`), and
     ArithmeticError where it is not found.
     """
+    if chain.g == 0:
+        raise ValueError("g: given 0; accepted: not 0 (frequencies of a linear chain do not move)")
     amplitude_max = 1.0
     while amplitude_max <= LARGEST_S:
         found = _threshold_to(chain, amplitude_max / abs(chain.g))

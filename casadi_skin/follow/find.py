@@ -71,7 +71,7 @@ from casadi_skin.zero.statement import Bounds, Statement
 
 # Periodic orbits of any model: autonomous, forced, conservative, reversible; closed or rotating -----------------------
 
-NOT_ZERO = 100.0  # tolerances that the unfolding parameter may differ from zero by
+NOT_ZERO = 100.0  # tolerances that rates by the unfolding parameter may be of all rates
 LONGEST_RETURN, RETURN_SAMPLES = 8.0, 1601  # stated periods in which a motion may come back, and places looked at
 RETURN_TOLERANCE = 1e-6
 # Of the ranges of the states: distance from the start that has left it, and that has come back.
@@ -155,7 +155,7 @@ def find_orbit(
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
     if model.forced:
         check_forcing_period(model, orbit, orbit.period, orbit.parameters)
-    if abs(orbit.unfolding) > NOT_ZERO * max(space.tolerance, orbit.error):
+    if orbit.unfolding and _unfolded_rate(solution) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         kept = " or ".join(f"the {name}" for name in quantities(model))
         raise BoundaryError(f"{model.name}: {words}: {kept} is not conserved, or the orbit is degenerate")
@@ -216,6 +216,19 @@ def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
     if expression.numel() != 1:
         raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
     return expression
+
+
+def _unfolded_rate(solution: Solution) -> float:
+    """The largest rate by the unfolding terms over the largest of all, of states in units of their largest values."""
+    model, size = solution.statement.model, np.max(np.abs(solution.states), axis=0)
+    values = {name: solution.parameters[name] for name in model.parameter_names}
+    without = {name: 0.0 if name.startswith(UNFOLDING) else value for name, value in values.items()}
+    whole, plain = (
+        np.array([model.vector_field(0.0, x, list(p.values())) for x in solution.states])[:, size > 0.0, 0]
+        / size[size > 0.0]
+        for p in (values, without)
+    )
+    return float(np.max(np.abs(whole - plain)) / np.max(np.abs(whole)))
 
 
 def _check_moves(name: str, solution: Solution, guess: Guess, length: float) -> None:

@@ -336,14 +336,19 @@ def test_a_pendulum_has_its_period(symmetric: bool) -> None:
     assert abs(np.linalg.det(orbit.floquet().monodromy) - 1) < 1e-9
 
 
-def test_an_unfolding_that_does_not_vanish_is_told() -> None:
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_an_unfolding_that_does_not_vanish_is_told_in_any_unit(unit: float) -> None:
     """A damped oscillator that claims to conserve its energy: only with the damping undone is there an orbit."""
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
-    model = OdeModel(
-        "liar", ca.vertcat(q, v), ca.vertcat(v, -q - 0.01 * v), hamiltonian=(q**2 + v**2) / 2, checked=False
-    )
-    with pytest.raises(BoundaryError, match=r"the unfolding parameter is .* in place of 0: the hamiltonian is not"):
-        find_orbit(model, lambda t: [np.cos(t), -np.sin(t)], 6.28, select=q - 1, section=v)
+    energy, guess = ((q / unit) ** 2 + (v / unit) ** 2) / 2, lambda t: [unit * np.cos(t), -unit * np.sin(t)]
+    for damping in (0.01, 0.0):
+        model = OdeModel("liar", ca.vertcat(q, v), ca.vertcat(v, -q - damping * v), hamiltonian=energy, checked=False)
+        if damping:
+            with pytest.raises(BoundaryError, match=r"the unfolding parameter is .* of 0: the hamiltonian is not"):
+                find_orbit(model, guess, 6.28, select=q / unit - 1, section=v / unit)
+        else:
+            orbit = find_orbit(model, guess, 6.28, select=q / unit - 1, section=v / unit)
+            assert orbit.period == pytest.approx(2 * np.pi)
 
 
 # What is refused ------------------------------------------------------------------------------------------------------

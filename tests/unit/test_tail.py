@@ -322,3 +322,10 @@ def test_elimination_is_used_by_itself_where_it_pays() -> None:
     tools = Family(family_request(Chain(10**6, 1.0, 0.25, 1.0), 10**6, 3.0))
     with pytest.raises(ValueError, match="what is asked for is that of all sites"):
         _ = tools.whole
+
+
+def test_a_linear_chain_has_no_threshold() -> None:
+    chain = Chain(24, 1.0, 0.3, 0.0)
+    for asked in (chain.threshold, chain.threshold_gradient):
+        with pytest.raises(ValueError, match="g: given 0; accepted: not 0"):
+            asked()
