@@ -15,7 +15,7 @@ from casadi_skin.model.arguments import with_error
 from casadi_skin.points.gradient import Gradient
 from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
-from casadi_skin.results.figures.designs import draw_path, draw_starts, path_of
+from casadi_skin.results.figures.designs import draw_path, path_of
 from casadi_skin.results.figures.evolutions import sizes_of
 from casadi_skin.results.figures.families import draw_series
 from casadi_skin.results.figures.multipliers import draw_moduli
@@ -25,7 +25,6 @@ from casadi_skin.search.design import Design
 from casadi_skin.search.designs import ParetoFront
 from casadi_skin.search.fit import Fit
 from casadi_skin.search.kick import SmallestKick
-from casadi_skin.search.orbit_search import Optimum, SearchResult
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.zero.kinds import count_in_words
@@ -190,31 +189,6 @@ def _(result: ProvedStretch) -> words.Shown:
 
 
 @words.show.register
-def _(result: SearchResult) -> words.Shown:
-    rows = [(f"optimum {k}", _optimum(optimum)) for k, optimum in enumerate(result.optima[:4], start=1)]
-    rows += [("optima", str(len(result.optima))), ("starts", str(len(result.outcomes))), ("end", result.reason)]
-    rows += [("by", result.engine)]
-
-    def draw(axes: Axes) -> None:
-        draw_starts(axes, result, "objective")
-
-    title = f"Search of {words.model_words(result.model)}"
-    return words.Shown(title, rows, draw, "optima of a search", lambda: _optima(result.optima))
-
-
-def _optimum(optimum: Optimum) -> str:
-    free = dict(list(optimum.parameters.items())[:4])
-    return f"objective {optimum.objective:.10g} at {words.named(free) if free else 'no free number'}"
-
-
-def _optima(optima: Sequence[Optimum]) -> words.Columns:
-    names = list(optima[0].parameters) if optima else []
-    columns: words.Columns = {"optimum": np.arange(1, len(optima) + 1), "objective": [o.objective for o in optima]}
-    columns |= {name: [o.parameters[name] for o in optima] for name in names}
-    return columns | {"objective_error": [o.errors.get("objective", np.nan) for o in optima]}
-
-
-@words.show.register
 def _(result: Design) -> words.Shown:
     rows = [
         (result.quantity, f"{with_error(result.value, result.error)}, the {'largest' if result.maximise else 'least'}")
@@ -222,6 +196,7 @@ def _(result: Design) -> words.Shown:
     rows += [("at", words.named(result.parameters)), ("end", result.reason), ("by", result.engine)]
     held = ", ".join(f"{value:.6g} by {bound}" for bound, value in list(result.multipliers.items())[: words.MOST_NAMED])
     rows += [("derivatives", held)] if held else []
+    rows += [("others", words.listed(f"{one.value:.10g}" for one in result.others))] if result.others else []
 
     def columns() -> words.Columns:
         return {"design": np.arange(1, len(result.path) + 1), result.quantity: result.values} | path_of(result)

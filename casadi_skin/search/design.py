@@ -1,10 +1,15 @@
-"""A design: parameters at which something located is best, with the way to it."""
+"""A design: parameters at which something located is best, with the way to it; and the best of those of several starts.
+
+`optimise` and `search_orbit` give one, whichever engine found it: SLSQP on gradients of located solutions, or Ipopt on
+the equations of one orbit. Every start ends with a design, an optimum or not.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -13,28 +18,52 @@ from casadi_skin.model.result import Result
 from casadi_skin.zero.problem import Array
 
 ENGINE = "SLSQP on gradients of located solutions"
+FEASIBLE = 1e-9  # violation of a constraint, relative to 1 or its gradient
 SAME_DESIGN_RTOL = 1e-5  # of the ranges: distance of designs that are one
+SAME_VALUE_RTOL = 1e-4  # relative to 1 or more: difference of their values and frequencies
+NAMES_IN_SCRIPTS = {"objective": "value", "orbit": "solution", "orbits": "located"}  # as they stand in older ones
+
+
+class Ending(Enum):
+    """How a start ended."""
+
+    FOUND = "found an optimum"
+    INFEASIBLE = "the constraints are not met"
+    UNBOUNDED = "ran off without bound"
+    INTERRUPTED = "interrupted"
+    FAILED = "not converged"
+    NOT_LOCATED = "not located at the start"
+    NO_OPTIMUM = "no optimum"
 
 
 @dataclass(frozen=True, eq=False)
 class Design(Result):
-    """The best design, with the way to it.
+    """The best design, with the way to it. What it has not is nan, or empty.
+
+    Parameters and quantities of the first located solution are attributes too. `objective` is another name of `value`,
+    `orbit` of `solution`, `orbits` of `located`.
 
     Attributes:
         quantity: what was optimised, in words; `maximise` says which way.
         value: its value, with the estimated absolute `error`.
         parameters: of the design, by name, each with its bounds in `bounds`.
+        path: designs on the way, shape (designs, parameters), and `values` the quantity there.
+        status: how it ended, and `reason` in a sentence, which begins with it.
+        engine: how it was found.
         located: the special points, orbits and equilibria there; of a family a `CosineOrbit`.
         quantities: of each of them by name, numbers or arrays.
         conditions: values of the constraints by name.
-        active: bounds that hold the optimum, such as "gamma >= 0".
-        multipliers: derivatives of the value by these bounds and by what equalities are equal to, by the same words.
+        multipliers: derivatives of the value by bounds that hold the optimum, such as "gamma >= 0", and by what
+            equalities are equal to, by the same words.
         optimality: what the conditions of first order leave of the gradient, relative to the largest on the way, by
-            parameters over their ranges; `optimality_error` is its estimated error.
-        path: designs on the way, shape (designs, parameters), and `values` the quantity there.
-        found: whether it is an optimum; how the search ended in `reason`.
+            parameters over their ranges, or to its terms; `optimality_error` is its estimated error.
+        violation: the largest one of a constraint, relative to 1, its gradient or its terms.
+        curvature: by Ipopt: the smallest eigenvalue of the Hessian of the Lagrangian (of the negative value where that
+            is maximised) in the parameters that constraints leave: positive at a strict optimum, infinite where none
+            is left.
+        difference: by Ipopt: relative difference, of the period and the states, from the orbit without an objective.
         others: further distinct optima, of other starts, best first.
-        engine: how it was found.
+        starts: of the best of several starts the reason of each.
     """
 
     quantity: str
@@ -43,19 +72,22 @@ class Design(Result):
     error: float
     parameters: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
-    located: tuple[Any, ...]
-    quantities: tuple[Mapping[str, Any], ...]
-    conditions: Mapping[str, Array]
-    active: tuple[str, ...]
-    multipliers: Mapping[str, float]
-    optimality: float
-    optimality_error: float
     path: Array
     values: Array
-    found: bool
+    status: Ending
     reason: str
-    others: tuple[Design, ...] = ()
     engine: str = ENGINE
+    located: tuple[Any, ...] = ()
+    quantities: tuple[Mapping[str, Any], ...] = ()
+    conditions: Mapping[str, Array] = field(default_factory=dict)
+    multipliers: Mapping[str, float] = field(default_factory=dict)
+    optimality: float = np.nan
+    optimality_error: float = np.nan
+    violation: float = np.inf
+    curvature: float = np.nan
+    difference: float = np.nan
+    others: tuple[Design, ...] = ()
+    starts: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         named = ", ".join(f"{name} = {value:.10g}" for name, value in list(self.parameters.items())[:4])
@@ -64,21 +96,35 @@ class Design(Result):
 
     def __getitem__(self, name: str) -> Any:
         """A parameter, or a quantity of the first located solution; raises KeyError for other names."""
-        known = {**self.quantities[0], **self.parameters}
+        known = {**next(iter(self.quantities), {}), **self.parameters}
         if name not in known:
             raise KeyError(accepted_names(name, known))
         return known[name]
 
     def __getattr__(self, name: str) -> Any:
-        """The same as an attribute, as of an optimum of a search."""
-        known = {**self.__dict__.get("quantities", ({},))[0], **self.__dict__.get("parameters", {})}
-        if name not in known:
-            raise AttributeError(f"design: given {name}; {accepted_names(name, known)}")
-        return known[name]
+        """The same as an attribute."""
+        if name in NAMES_IN_SCRIPTS:
+            return getattr(self, NAMES_IN_SCRIPTS[name])
+        try:
+            return self[name] if "quantities" in vars(self) else vars(self)[name]
+        except KeyError as error:
+            raise AttributeError(f"design: given {name}; {error.args[0]}") from None
+
+    @property
+    def found(self) -> bool:
+        """Whether it is an optimum."""
+        return self.status is Ending.FOUND
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Bounds that hold the optimum."""
+        return inequalities(self.multipliers)
 
     @property
     def solution(self) -> Any:
-        """The first located solution."""
+        """The first located solution; raises ValueError with the reason where there is none."""
+        if not self.located:
+            raise ValueError(f"design: nothing is located; {self.reason}")
         return self.located[0]
 
     @property
@@ -93,24 +139,72 @@ class Design(Result):
             raise ValueError(f"design: no optimum; {self.reason}")
         return self
 
-    @property
-    def objective(self) -> float:
-        """The value, by the name that it has in a search."""
-        return self.value
-
-    @property
-    def orbit(self) -> Any:
-        """The first located solution, by the name that it has in a search."""
-        return self.solution
-
-    @property
-    def orbits(self) -> tuple[Any, ...]:
-        """What is located, by the name that it has in a search."""
-        return self.located
-
     def is_near(self, other: Design) -> bool:
-        """Whether two designs are one."""
+        """Whether two designs are one: parameters, value and frequencies are the same."""
         low, high = np.array(list(self.bounds.values())).T
         scale = np.where(np.isfinite(high - low), high - low, np.maximum(1.0, np.abs(self.path[-1])))
-        apart = np.abs(self.path[-1] - other.path[-1]) / scale
-        return self.found == other.found and bool(np.max(apart) <= SAME_DESIGN_RTOL)
+        one, two = ([d.value, *(known.get("Omega", 0.0) for known in d.quantities)] for d in (self, other))
+        near = np.max(np.abs(self.path[-1] - other.path[-1]) / scale) <= SAME_DESIGN_RTOL
+        return bool(near) and np.allclose(one, two, SAME_VALUE_RTOL, SAME_VALUE_RTOL)
+
+
+def inequalities(multipliers: Mapping[str, float]) -> tuple[str, ...]:
+    """The words of active bounds, without those of equalities."""
+    return tuple(words for words in multipliers if " = " not in words)
+
+
+def optimum_words(multipliers: Mapping[str, float]) -> str:
+    """Where an optimum is, by its bounds."""
+    active = ", ".join(inequalities(multipliers))
+    return f"the optimum sits on a bound: {active}" if active else f"{Ending.FOUND.value} inside its bounds"
+
+
+# The best of several starts -------------------------------------------------------------------------------------------
+
+
+class End(Protocol):
+    """Where a start ended: a design, or a point of a programme that makes one."""
+
+    @property
+    def found(self) -> bool: ...
+    def is_near(self, other: Self) -> bool: ...
+
+
+AnyEnd = TypeVar("AnyEnd", bound=End)
+
+
+def grouped(ends: Sequence[AnyEnd]) -> list[list[AnyEnd]]:
+    """The ends that found an optimum, those of one optimum together."""
+    groups = list[list[AnyEnd]]()
+    for end in ends:
+        if end.found:
+            same = next((group for group in groups if group[0].is_near(end)), None)
+            if same is None:
+                groups.append(same := [])
+            same.append(end)
+    return groups
+
+
+def best_of(ends: Sequence[Design], interrupted: str = "") -> Design:
+    """The best of the designs of several starts, in their order; where none is an optimum, the nearest to one.
+
+    That is one that ran off without bound, or the one that violates the constraints least.
+    """
+    groups, many = grouped(ends), len(ends)
+
+    def order(one: Design) -> tuple[bool, float, float]:
+        value = -one.value if one.maximise else one.value
+        return one.status is not Ending.UNBOUNDED, max(one.violation, FEASIBLE), value
+
+    groups.sort(key=lambda group: order(group[0])[-1])
+    best, words = (groups[0][0] if groups else min(ends, key=order)), [interrupted] if interrupted else []
+    words.append(best.reason)
+    if groups and many > 1:
+        words.append(f"{len(groups[0])} of {many} starts led to it")
+    away = sum(end.status is Ending.UNBOUNDED for end in ends)
+    if groups and away:
+        words.append(f"{away} {Ending.UNBOUNDED.value}, so it is a local one")
+    return replace(
+        best, reason="; ".join(words), others=tuple(group[0] for group in groups[1:]),
+        starts=tuple(end.reason for end in ends),
+    )  # fmt: skip

@@ -22,7 +22,7 @@ import numpy as np
 from casadi_skin.model.arguments import function_of, number_within, truth, whole
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.search.conditions import checked_conditions
-from casadi_skin.search.design import Design
+from casadi_skin.search.design import FEASIBLE, Design, Ending, best_of, optimum_words
 from casadi_skin.search.design_problem import DesignProblem, Quantity, Rows
 from casadi_skin.search.located import LocatedThing
 from casadi_skin.solve.watch import check_time_limit
@@ -32,7 +32,6 @@ MOST_ITERATIONS = 1000  # of SLSQP
 # Of the scaled objective, at which SLSQP ends; it starts again where that is no optimum yet. Near one it wanders.
 ACCURACIES = (1e-10, 1e-12, 1e-14, 1e-16)
 OPTIMAL, SOUGHT = 1e-7, 2e-8  # of the largest scaled gradient: what an optimum may leave, and what is sought
-FEASIBLE = 1e-9  # violation of a constraint, relative to 1 or its gradient
 NEAR_BOUND = 1e-7  # of its range: a number at its bound
 RESTORING_STEPS = 2  # of Newton's method on active constraints, from an end of SLSQP
 SHORTEST_SHARE = 2.0**-12  # of the way between two designs: the smallest step of the continuation
@@ -88,15 +87,10 @@ def best_design(
     problem: DesignProblem, starts: Sequence[Array], tolerance: float, progress: Callable[[str], None] | None = None
 ) -> Design:
     """The best design from several starts; raises ArithmeticError where nothing is located at any."""
-    found = list[Design]()
-    for start in starts:
-        one = Search(problem, progress).optimum(start, tolerance)
-        if one is not None and not any(one.is_near(other) for other in found):
-            found.append(one)
-    if not found:
+    ends = [Search(problem, progress).optimum(start, tolerance) for start in starts]
+    if all(end.status is Ending.NOT_LOCATED for end in ends):
         raise ArithmeticError("optimise: what is optimised is not located at any start")
-    found.sort(key=lambda one: (not one.found, -one.value if problem.maximise else one.value))
-    return replace(found[0], others=tuple(one for one in found[1:] if one.found))
+    return best_of(ends)
 
 
 # The way to an optimum from one start ---------------------------------------------------------------------------------
@@ -181,20 +175,20 @@ class Search:
             self.progress(f"design {len(self.path)}: {self.problem.quantity} = {rows[0]:.8g} at {named}")
         return found
 
-    def optimum(self, p: Array, tolerance: float) -> Design | None:
-        """The end of SLSQP, on finer discretisations until it is at the tolerance; None without the start."""
+    def optimum(self, p: Array, tolerance: float) -> Design:
+        """The end of SLSQP, on finer discretisations until it is at the tolerance."""
         if self.rows(p) is None:
-            return None
+            return self._design(p)
         while True:
             p, words = self._solved(p)
             conditions, finer = self.conditions(p), [thing.finer for thing in self.things]
             error, slope_error = self._errors(conditions)
             if error <= tolerance * max(1.0, abs(self._last[1][0][0])) or all(thing is None for thing in finer):
-                return self._design(p, conditions, (error, slope_error), words)
+                return self._optimum(p, conditions, (error, slope_error), words)
             self.things = tuple(two or one for one, two in zip(self.things, finer, strict=True))
             self._last = np.empty(0), self._last[1]
             if self.rows(p) is None:
-                return None
+                return self._design(p)
 
     # SLSQP, in x = p/scales, with objective and constraints over the sizes of their first gradients -------------------
 
@@ -304,27 +298,36 @@ class Search:
         left = float(np.max(slopes[0] * self.problem.scales)) / (self.size or 1.0)
         return float(rows[0] + held + EPSILON * abs(self.values[-1])), left
 
-    def _design(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
+    def _optimum(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
         problem, multipliers = self.problem, dict[str, float]()
         for bound, weight in conditions.bounds:
             multipliers[bound.words] = multipliers.get(bound.words, 0.0) + self.sign * bound.unit * weight
-        active = tuple(words for words in multipliers if " = " not in words)
-        reason = f"the optimum sits on a bound: {', '.join(active)}" if active else "found an optimum inside its bounds"
+        ending, reason = Ending.FOUND, optimum_words(multipliers)
         if conditions.violation > FEASIBLE:
-            reason = f"the constraints are not met; {conditions.worst} at the nearest design"
+            ending = Ending.INFEASIBLE
+            reason = f"{ending.value}; {conditions.worst} at the nearest design"
         elif not conditions.holds:
-            reason = f"no optimum, {conditions.optimality:.1e} of the gradient is left: {words}"
+            ending = Ending.NO_OPTIMUM
+            reason = f"{ending.value}, {conditions.optimality:.1e} of the gradient is left: {words}"
         values = np.split(self._last[1][0][1:], np.cumsum(problem.sizes)[:-1]) if problem.sizes else []
-        return Design(
-            quantity=problem.quantity, maximise=problem.maximise, value=float(self._last[1][0][0]), error=errors[0],
-            parameters=dict(zip(problem.over, p.tolist(), strict=True)),
-            bounds=dict(zip(problem.over, map(tuple, problem.ends.T.tolist()), strict=True)),
+        return replace(
+            self._design(p), value=float(self._last[1][0][0]), error=errors[0],
             located=tuple(thing.solution for thing in self.things),
             quantities=tuple(quantities_of(thing) for thing in self.things),
             conditions={c.name: part for c, part in zip(problem.conditions, values, strict=True)},
-            active=active, multipliers=multipliers, optimality=conditions.optimality, optimality_error=errors[1],
-            path=np.array([*self.path, p]), values=np.array([*self.values, self._last[1][0][0]]),
-            found=conditions.holds, reason=f"{reason}; {len(self.path)} designs",
+            multipliers=multipliers, optimality=conditions.optimality, optimality_error=errors[1],
+            violation=conditions.violation, path=np.array([*self.path, p]),
+            values=np.array([*self.values, self._last[1][0][0]]), status=ending,
+            reason=f"{reason}; {len(self.path)} designs",
+        )  # fmt: skip
+
+    def _design(self, p: Array) -> Design:
+        """A design at which not everything is located."""
+        problem = self.problem
+        return Design(
+            problem.quantity, problem.maximise, np.nan, np.nan, dict(zip(problem.over, p.tolist(), strict=True)),
+            dict(zip(problem.over, map(tuple, problem.ends.T.tolist()), strict=True)), p[None], np.full(1, np.nan),
+            Ending.NOT_LOCATED, Ending.NOT_LOCATED.value,
         )  # fmt: skip
 
 

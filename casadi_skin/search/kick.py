@@ -18,10 +18,10 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.search.cosine_orbit import CosineOrbit
+from casadi_skin.search.design import Ending, grouped
 from casadi_skin.search.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
-from casadi_skin.search.nlp import Ending, Outcome, Start, lost_start, solve_start
-from casadi_skin.search.orbit_search import distinct
-from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor, nlp_reason
+from casadi_skin.search.nlp import Outcome, Start, lost_start, solve_start
+from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.problem import Array, Indices
 
@@ -157,14 +157,14 @@ class KickSearch:
         """Outcome of a start, from a part of its kick too that escapes at another time; its objective is the norm."""
         found = solve_start(self, start, monitor)
         for _ in range(3):
-            if found.ending is not Ending.CONVERGED:
+            if not found.found:
                 break
             kick = self.scale * found.place[:-1]
             shorter = self.first(along := replace(start, free=tuple(kick.tolist())))
             if shorter is None or shorter.norm > SHORTER_KICK_FACTOR * np.linalg.norm(kick):
                 break
             again = solve_start(self, along, monitor)
-            if again.ending is not Ending.CONVERGED or again.objective > found.objective:
+            if not again.found or again.objective > found.objective:
                 break
             found = replace(again, start=start)
         return found
@@ -179,11 +179,12 @@ class KickSearch:
 
         Where no start led to one, the first point of least norm, with Ipopt's message in place of an optimum.
         """
-        found = [self.optimum(one) for one, _ in distinct(sorted(outcomes, key=lambda o: o.start.number))]
+        found = [self.optimum(one) for one, *_ in grouped(sorted(outcomes, key=lambda o: o.start.number))]
+        found.sort(key=lambda one: one.norm)
         if found:
             return found
-        failures = {nlp_reason(o.words) for o in outcomes if o.ending not in (Ending.NO_ORBIT, Ending.INTERRUPTED)}
-        firsts = [self.first(o.start) for o in outcomes if o.ending is not Ending.NO_ORBIT]
+        failures = {o.words for o in outcomes if o.ending not in (Ending.NOT_LOCATED, Ending.INTERRUPTED)}
+        firsts = [self.first(o.start) for o in outcomes if o.ending is not Ending.NOT_LOCATED]
         least = min((first for first in firsts if first is not None), key=lambda first: first.norm)
         return [replace(least, words=f"Ipopt: {', '.join(sorted(failures))}" if failures else "Ipopt was not done")]
 
@@ -443,7 +444,7 @@ def smallest_kick(
         outcomes: list[Outcome] = list(runner.run(search.solve, starting))
     lost = [o for o in outcomes if o.ending is Ending.INTERRUPTED and not runner.interrupted]
     outcomes, interrupted = [o for o in outcomes if o not in lost], runner.interrupted
-    if all(outcome.ending is Ending.NO_ORBIT for outcome in outcomes):
+    if all(outcome.ending is Ending.NOT_LOCATED for outcome in outcomes):
         if interrupted:
             raise KeyboardInterrupt
         if lost:

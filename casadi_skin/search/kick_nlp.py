@@ -331,7 +331,7 @@ class KickNlp(Nlp):
         kick, found = self.scale * solution.x[: self._kicks], optimality(self, solution)
         return KickOptimum(
             name, kick, norm=float(np.linalg.norm(kick)), time=float(solution.x[-2]) * self.flow.time,
-            phase=float(solution.x[-1]), kkt=found.kkt.largest, violation=found.kkt.violation,
+            phase=float(solution.x[-1]), kkt=max(found.kkt, found.violation), violation=found.violation,
             strict=found.curvature > 0, iterations=solution.iterations, words=words or solution.words,
         )  # fmt: skip
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -17,7 +16,8 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.solve.ipopt import IterationCallback, Monitor, nlp_solver
+from casadi_skin.search.design import Ending
+from casadi_skin.solve.ipopt import IterationCallback, Monitor, nlp_reason, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
 STOPPED_STATUS = "User_Requested_Stop"
@@ -112,6 +112,10 @@ class Nlp:
         """Constraints at x, shape (rows,)."""
         return np.array(self._constraints(x, [])[0]).ravel()
 
+    def objective(self, x: Array) -> float:
+        """The objective as it is reported."""
+        return self.shown(float(self._gradient(x, [])[0]))
+
     def jacobian(self, x: Array) -> Any:
         """Derivative of `residual`, a sparse matrix of scipy in columns."""
         return self._constraints(x, [])[1].sparse().tocsc()
@@ -135,7 +139,7 @@ class Nlp:
 
     def equation_name(self, row: int, x: Array) -> str:
         """An equation of the orbit, in words."""
-        return "the equations of the orbit"
+        return "an equation of the orbit"
 
     def sizes(self, x: Array) -> Array:
         """Scale of each unknown, shape (size,)."""
@@ -201,33 +205,22 @@ ACTIVE_MULTIPLIER_RATIO = 1e-5  # size of a multiplier, relative to the largest,
 
 
 @dataclass(frozen=True)
-class Kkt:
-    """Residuals of the conditions of Karush, Kuhn and Tucker, each relative to its terms."""
-
-    stationarity: float
-    violation: float
-    complementarity: float
-
-    @property
-    def largest(self) -> float:
-        """The largest of the three."""
-        return max(self.stationarity, self.violation, self.complementarity)
-
-
-@dataclass(frozen=True)
 class Optimality:
     """The conditions of optimality at a point, and how well they hold.
 
     Attributes:
-        kkt: the conditions of first order.
-        active: bounds that are active: the point is next to them, or their multiplier is not small.
+        kkt: residual of the conditions of first order of Karush, Kuhn and Tucker, relative to their terms.
+        violation: that of equations, bounds and conditions.
+        multipliers: derivatives of the objective by active bounds, the point next to them or their multiplier not
+            small, and by what equalities are equal to, in words.
         curvature: smallest eigenvalue of the Hessian of the Lagrangian on the directions that equations and active
             bounds leave free, in the metric of the free numbers; infinite where none is left, nan where not known.
         negative: the most negative one relative to the largest; 0 where none is beyond rounding.
     """
 
-    kkt: Kkt
-    active: tuple[str, ...]
+    kkt: float
+    violation: float
+    multipliers: Mapping[str, float]
     curvature: float
     negative: float
 
@@ -236,12 +229,13 @@ class Optimality:
 def optimality(nlp: Nlp, solution: Solution) -> Optimality:
     """The conditions at a solution; the last few are kept."""
     g, J = nlp.residual(solution.x), nlp.jacobian(solution.x)
-    words, unknowns, rows = _active(nlp, solution, g)
+    multipliers, unknowns, rows = _active(nlp, solution, g)
     curvature, negative = _curvature(nlp, solution, J, unknowns, rows) if nlp.exact else (np.nan, 0.0)
-    return Optimality(_kkt(nlp, solution, g, J), words, curvature, negative)
+    return Optimality(*_kkt(nlp, solution, g, J), multipliers, curvature, negative)
 
 
-def _kkt(nlp: Nlp, solution: Solution, g: Array, J: Any) -> Kkt:
+def _kkt(nlp: Nlp, solution: Solution, g: Array, J: Any) -> tuple[float, float]:
+    """The larger residual of stationarity and complementarity, and the violation."""
     x, lam_g, lam_x = solution.x, solution.lam_g, solution.lam_x
     gradient, moves = nlp.gradient(x), nlp.lower < nlp.upper
     largest = max(1.0, float(np.max(np.abs(gradient))))
@@ -254,11 +248,9 @@ def _kkt(nlp: Nlp, solution: Solution, g: Array, J: Any) -> Kkt:
         _complementarity(lam_x, nlp.upper - x, x - nlp.lower)[moves],
         _complementarity(lam_g, nlp.high - g, g - nlp.low)[rows],
     )
-    return Kkt(
-        float(np.max((np.abs(total) / np.maximum(largest, terms))[moves])),
-        float(max(np.max(gap, initial=0.0), np.max(outside))),
-        float(np.max(products, initial=0.0)) / largest,
-    )
+    stationarity = np.max((np.abs(total) / np.maximum(largest, terms))[moves])
+    complementarity = np.max(products, initial=0.0) / largest
+    return float(max(stationarity, complementarity)), float(max(np.max(gap, initial=0.0), np.max(outside)))
 
 
 def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
@@ -266,13 +258,13 @@ def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
     return np.abs(multipliers) * np.abs(np.where(multipliers == 0, 0.0, slack))
 
 
-def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[tuple[str, ...], Indices, Indices]:
-    """Active bounds in words, the unknowns at them, and the rows of conditions at them, equalities included."""
+def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[dict[str, float], Indices, Indices]:
+    """Active bounds and equalities in words with multipliers, the unknowns at them, and the rows of conditions."""
     x = solution.x
     held = ACTIVE_MULTIPLIER_RATIO * max(
         1.0, *(float(np.max(np.abs(v), initial=0.0)) for v in (solution.lam_g, nlp.gradient(x)))
     )
-    words, unknowns, rows = list[str](), list[int](), list[int]()
+    found, unknowns, rows = dict[str, float](), list[int](), list[int]()
     for name, places in nlp.unknowns.items():
         low, high = nlp.lower[places], nlp.upper[places]
         near = NEAR_BOUND * np.where(np.isfinite(high - low), high - low, np.maximum(1.0, np.abs(x[places])))
@@ -280,14 +272,15 @@ def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[tuple[str, ...], In
             at = (np.abs(x[places] - bound) <= near) | (side * solution.lam_x[places] > held)
             if np.any(at):
                 where = "" if places.size == 1 else f" at {np.count_nonzero(at)} of {places.size} points"
-                words.append(f"{name} {sign} {bound[0]:.10g}{where}")
+                found[f"{name} {sign} {bound[0]:.10g}{where}"] = -nlp.sign * float(np.sum(solution.lam_x[places[at]]))
                 unknowns += places[at].tolist()
     for name, places in nlp.conditions.items():
         for bound, sign in ((nlp.low[places], ">="), (nlp.high[places], "<=")):
             at = np.isfinite(bound) & (np.abs(g[places] - bound) <= NEAR_BOUND * np.maximum(1.0, np.abs(bound)))
             rows += places[at].tolist()
-            words += [f"{name} {sign} {b:.10g}" for b in bound[at & (nlp.low[places] < nlp.high[places])]]
-    return tuple(words), np.unique(np.array(unknowns, dtype=int)), np.unique(np.array(rows, dtype=int))
+            for row, b, equal in zip(places[at], bound[at], (nlp.low == nlp.high)[places[at]], strict=True):
+                found[f"{name} {'=' if equal else sign} {b:.10g}"] = -nlp.sign * float(solution.lam_g[row])
+    return found, np.unique(np.array(unknowns, dtype=int)), np.unique(np.array(rows, dtype=int))
 
 
 def _curvature(nlp: Nlp, solution: Solution, J: Any, unknowns: Indices, rows: Indices) -> tuple[float, float]:
@@ -345,21 +338,7 @@ def _null_space(J: Any) -> Array:
 # Starts, and where each leads -----------------------------------------------------------------------------------------
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
-FEASIBLE_VIOLATION = 1e-9  # violation of a constraint, relative to its terms
-
-
-class Ending(Enum):
-    """End of one start."""
-
-    CONVERGED = "an optimum"
-    INFEASIBLE = "nothing near the start meets the constraints"
-    UNBOUNDED = "ran off without bound"
-    INTERRUPTED = "interrupted"
-    FAILED = "not converged in the iterations allowed"
-    NO_ORBIT = "no orbit to start from"
-    NO_OPTIMUM = "stationary, but no optimum"
-
-
+SAME_OPTIMUM_RTOL = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
 SEARCH_ENDINGS: Mapping[str, Ending] = {
     STOPPED_STATUS: Ending.INTERRUPTED,
     "Diverging_Iterates": Ending.UNBOUNDED,
@@ -377,36 +356,35 @@ class Start:
     name: str = ""
 
 
-def _empty() -> Array:
-    return np.zeros(0)
-
-
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """Outcome of a start.
 
     Attributes:
         start: the start.
-        ending: how it ended.
-        words: the reason: Ipopt's return status, or why there was no orbit.
+        ending: how it ended, and `words` why: by Ipopt, by the conditions of optimality, or by what is not there.
         solution: where Ipopt ended; None where there was no orbit to start from.
-        free: the free numbers of the solution.
-        place: the same with frequencies, scaled: optima at a distance below 1e-4 are one.
-        times: of the states in the solution of a boundary-value problem; empty for odd cosines.
-        violation: the largest violation of a constraint relative to its terms.
-        worst: the constraint with the largest violation, and `gap` that violation in its own units.
+        path: the free numbers of the start and of the solution, shape (2, free), and `values` the objectives there.
+        place: the free numbers with frequencies, scaled: optima at a distance below 1e-4 are one.
+        times: of the states in the solution of a boundary-value problem; empty for kicks.
+        violation: the largest violation of a constraint relative to its terms, and `gap` that in its own units.
     """
 
     start: Start
     ending: Ending
     words: str
     solution: Solution | None = None
-    free: Array = field(default_factory=_empty)
-    place: Array = field(default_factory=_empty)
-    times: Array = field(default_factory=_empty)
+    path: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    place: Array = field(default_factory=lambda: np.zeros(0))
+    times: Array = field(default_factory=lambda: np.zeros(0))
     violation: float = np.inf
-    worst: str = ""
     gap: float = np.inf
+
+    @property
+    def found(self) -> bool:
+        """Whether it is an optimum."""
+        return self.ending is Ending.FOUND
 
     @property
     def last(self) -> tuple[int, float, float]:
@@ -418,10 +396,10 @@ class Outcome:
         """Objective of the solution; infinite where there is none."""
         return np.inf if self.solution is None else self.solution.objective
 
-    @property
-    def feasible(self) -> bool:
-        """Whether every constraint is met."""
-        return self.violation <= FEASIBLE_VIOLATION
+    def is_near(self, other: Outcome) -> bool:
+        """Whether two outcomes are one optimum: the same place, and the same value of the objective."""
+        near = np.max(np.abs(self.place - other.place)) <= SAME_OPTIMUM_RTOL
+        return bool(near and abs(self.objective - other.objective) <= SAME_OPTIMUM_RTOL * max(1.0, abs(self.objective)))
 
 
 class Startable(Protocol):
@@ -444,29 +422,22 @@ def solve_start(problem: Startable, start: Start, monitor: Monitor | None = None
     try:
         nlp, x = problem.nlp_at(start)
     except ArithmeticError as error:
-        return Outcome(start, Ending.NO_ORBIT, " ".join(str(error).split()))
-    return judged(nlp, start, nlp.solve(x, monitor))
+        return Outcome(start, Ending.NOT_LOCATED, " ".join(str(error).split()))
+    return judged(nlp, start, x, nlp.solve(x, monitor))
 
 
-def judged(nlp: Nlp, start: Start, solution: Solution) -> Outcome:
+def judged(nlp: Nlp, start: Start, first: Array, solution: Solution) -> Outcome:
     """The outcome of a solution: an optimum where our own conditions of optimality say so."""
-    ending, x = SEARCH_ENDINGS.get(solution.words, Ending.FAILED), solution.x
+    ending, words, x = SEARCH_ENDINGS.get(solution.words, Ending.FAILED), nlp_reason(solution.words), solution.x
+    path, values = np.array([first, x])[:, nlp.measured], np.array([nlp.objective(first), solution.objective])
     if not np.all(np.isfinite(x)):
-        return Outcome(start, ending, solution.words, solution)
+        return Outcome(start, ending, words, solution, path, values)
     gaps, found = nlp.violations(nlp.residual(x)), optimality(nlp, solution)
-    worst, words = int(np.argmax(gaps)), solution.words
-    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt.largest, gaps[worst]) <= CONVERGED:
-        words = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else words)
-        ending = Ending.CONVERGED if words == solution.words else Ending.NO_OPTIMUM
-    return Outcome(
-        start=start,
-        ending=ending,
-        words=words,
-        solution=solution,
-        free=x[nlp.measured],
-        place=nlp.place_of(x),
-        times=nlp.times(x),
-        violation=found.kkt.violation,
-        worst=nlp.row_name(worst, x),
-        gap=float(gaps[worst]),
-    )
+    worst = int(np.argmax(gaps))
+    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt, found.violation, gaps[worst]) <= CONVERGED:
+        fault = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else "")
+        ending, words = (Ending.NO_OPTIMUM, f"stationary, but {fault}") if fault else (Ending.FOUND, words)
+    elif ending is Ending.INFEASIBLE:
+        words = f"{nlp.row_name(worst, x)} is off by {gaps[worst]:.3g}"
+    place, times = nlp.place_of(x), nlp.times(x)
+    return Outcome(start, ending, words, solution, path, values, place, times, found.violation, float(gaps[worst]))

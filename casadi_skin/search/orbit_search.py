@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 import pickle
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import partial
 from typing import Any, cast
 
@@ -23,25 +21,13 @@ from casadi_skin.model.arguments import accepted_names, check_options, number_wi
 from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression, real_array
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.result import Result, in_turn
-from casadi_skin.search.boundary_nlp import BoundaryNlp, Refined, refined
+from casadi_skin.model.result import in_turn
+from casadi_skin.search.boundary_nlp import BoundaryNlp, refined
 from casadi_skin.search.conditions import Condition, checked_bounds, checked_conditions, free_names, sampled_starts
-from casadi_skin.search.design import Design
+from casadi_skin.search.design import Design, Ending, best_of, grouped, optimum_words
 from casadi_skin.search.design_problem import DesignProblem, family_starts
 from casadi_skin.search.designs import best_design
-from casadi_skin.search.nlp import (
-    FEASIBLE_VIOLATION,
-    FLAT_CURVATURE,
-    Ending,
-    Kkt,
-    Nlp,
-    Optimality,
-    Outcome,
-    Solution,
-    Start,
-    lost_start,
-    solve_start,
-)
+from casadi_skin.search.nlp import FLAT_CURVATURE, Outcome, Start, lost_start, solve_start
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.orbit import Guess, Sizes, sampled
 from casadi_skin.zero.problem import Array
@@ -53,6 +39,7 @@ COMPARED_PHASES = 200  # at which an optimum is compared with its plain orbit
 CONSERVED = "hamiltonian"
 SPECIAL_QUANTITIES = (PERIOD, "Omega")
 MOST_UNIT_RATIO, UNEVEN_UNIT_RATIO = 1e8, 1e4  # sizes of states that differ by more leave Ipopt no digits, or few
+ENGINE = "Ipopt on the equations of one orbit with objective and constraints"
 OWN_NAME_PREFIX = "search "  # with which names of the caller's expressions begin
 
 Quantity = str | Expression
@@ -225,30 +212,58 @@ class OrbitSearch:
         function = self.model.function("at_zero", self._expression(name))
         return function(0.0, model.ends[0], model.parameters[:count])
 
-    # Optima ---------------------------------------------------------------------------------------------------------
+    # Designs --------------------------------------------------------------------------------------------------------
 
-    def polish(self, outcome: Outcome, starts: tuple[int, ...]) -> Optimum | None:
+    def design(self, outcome: Outcome) -> Design:
+        """The design of a start that led to no optimum."""
+        status, words = outcome.ending, outcome.words
+        path = outcome.path if len(outcome.path) else np.array([outcome.start.free])
+        values = outcome.values if len(outcome.path) else np.full(1, np.nan)
+        if status is Ending.UNBOUNDED:
+            k = int(np.argmax(np.abs(path[-1])))  # the free number that ran off the farthest
+            words = f"{self.free[k]} = {path[-1][k]:.3g}, {self._quantity} = {values[-1]:.3g}"
+        elif status is Ending.INFEASIBLE:
+            words += " at the nearest design"
+        elif self.hint:
+            words += f"; {self.hint}"
+        return Design(
+            self._quantity, self.maximise, float(values[-1]), np.nan,
+            dict(zip(self.free, path[-1].tolist(), strict=True)), {name: self.limits[name] for name in self.free}, path,
+            values, status, f"{status.value}; {words}", ENGINE, violation=outcome.violation,
+        )  # fmt: skip
+
+    def polished(self, outcome: Outcome) -> Design:
         """The optimum on a mesh that meets the tolerance, beside the plain orbit at its parameters."""
         solution, n = outcome.solution, self.model.full_size
         assert solution is not None
         states = solution.x[: n * outcome.times.size].reshape(-1, n)
         try:
-            near = self.plain(outcome.free, outcome.times, states)
-            nlp, x = self._stated(near)
+            nlp, x = self._stated(self.plain(outcome.path[-1], outcome.times, states))
             best = refined(nlp, nlp.solved(x, warm=True), flat=True)
-            orbit = Orbit(nlp.space, best.point, optimum=best.optimum)
-            plain = self.plain([orbit.parameters[name] for name in self.free], orbit.t, orbit.states, orbit.intervals)
-        except BoundaryError:
-            return None
-        return self._optimum(best, orbit, plain, starts)
-
-    def _optimum(self, best: Refined, orbit: Orbit, plain: Orbit, starts: tuple[int, ...]) -> Optimum:
-        sizes = {PERIOD: 0.0 if self.model.forced else orbit.period, **{n: orbit.parameters[n] for n in self.free}}
-        errors = {"objective": best.objective_error, **{n: orbit.parameter_error * abs(v) for n, v in sizes.items()}}
-        return Optimum.of(
-            best.nlp, best.solution, best.optimality, self.free, orbit=orbit, check=compared(orbit, plain),
-            quantities=self._quantities(orbit), errors=errors, resolution=orbit.intervals, starts=starts,
+            orbit = Orbit(best.nlp.space, best.point, optimum=best.optimum)
+            free = [orbit.parameters[name] for name in self.free]
+            plain = self.plain(free, orbit.t, orbit.states, orbit.intervals)
+        except BoundaryError as error:
+            words = f"found on the first meshes, and not confirmed by more: {error}"
+            return self.design(replace(outcome, ending=Ending.FAILED, words=words))
+        rows, found, value = best.nlp.residual(best.solution.x), best.optimality, best.solution.objective
+        flat = "; it is flat: neighbours along some direction of the free numbers do as well"
+        return replace(
+            self.design(outcome), value=value, error=best.objective_error,
+            parameters=dict(zip(self.free, free, strict=True)), path=np.array([*outcome.path, free]),
+            values=np.append(outcome.values, value), located=(orbit,), quantities=(self._quantities(orbit),),
+            conditions={name: rows[places] for name, places in best.nlp.conditions.items()},
+            multipliers=found.multipliers, optimality=found.kkt, violation=found.violation, curvature=found.curvature,
+            difference=difference(orbit, plain), status=Ending.FOUND,
+            reason=optimum_words(found.multipliers) + (flat if found.curvature < FLAT_CURVATURE else ""),
         )  # fmt: skip
+
+    @property
+    def _quantity(self) -> str:
+        """What is optimised, in words."""
+        names = {label: name.removeprefix(OWN_NAME_PREFIX) for label, name in self.named.items()}
+        found = [names["objective"]] if "objective" in names else []
+        return " + ".join([*found, *([f"mean of {names['running']}"] if "running" in names else [])])
 
     def _quantities(self, orbit: Orbit) -> dict[str, float]:
         """Parameters, period and Omega; states, outputs and the hamiltonian at phase zero."""
@@ -285,8 +300,8 @@ def _output(
     return OWN_NAME_PREFIX + label
 
 
-def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
-    """An optimum beside the plain orbit at its parameters.
+def difference(orbit: Orbit, plain: Orbit) -> float:
+    """The larger one of the periods and of the states of an optimum and of the plain orbit, relative.
 
     States are compared at the same phases, each component relative to its largest value and no less than a millionth of
     the largest of all.
@@ -295,9 +310,7 @@ def compared(orbit: Orbit, plain: Orbit) -> PlainCheck:
     one, other = (o.evaluate(fractions * o.period) for o in (orbit, plain))
     largest = np.max(np.abs(other), axis=0)
     apart = float(np.max(np.abs(one - other) / np.maximum(largest, 1e-6 * np.max(largest))))
-    turned = 2.0 * math.pi / plain.period - 2.0 * math.pi / orbit.period
-    difference = max(abs(orbit.period - plain.period) / plain.period, apart)
-    return PlainCheck(True, turned, difference, plain.residual, plain.intervals)
+    return max(abs(orbit.period - plain.period) / plain.period, apart)
 
 
 def _check_units(names: Sequence[str], states: Array) -> None:
@@ -316,255 +329,6 @@ def _units(names: Sequence[str], states: Array) -> tuple[float, str]:
     small, large = moving[np.argmin(sizes[moving])], moving[np.argmax(sizes[moving])]
     words = f"{names[small]} up to {sizes[small]:.2g} and {names[large]} up to {sizes[large]:.2g}"
     return float(sizes[large] / sizes[small]), words
-
-
-# Optima, and how a search ended --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class PlainCheck:
-    """An orbit of a search beside the plain orbit problem at its parameters, solved without objective.
-
-    Attributes:
-        converged: whether the plain problem was solved.
-        Omega_difference: its Omega less that of the optimum, absolute.
-        difference: the larger of those of the period and of the states, both relative.
-        residual: of the plain problem's equations, relative to their largest term.
-        resolution: harmonics or intervals of the plain problem.
-    """
-
-    converged: bool
-    Omega_difference: float
-    difference: float
-    residual: float
-    resolution: int
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """A local optimum: free numbers, the orbit, and its check. Every quantity of the orbit is an attribute too.
-
-    Attributes:
-        objective: value of the objective.
-        parameters: the free numbers by name.
-        orbit: the orbit.
-        quantities: its quantities by name: parameters, period, Omega, and further ones of its problem.
-        check: the orbit beside a plain solution.
-        conditions: values of the conditions by name.
-        active: bounds that are active, such as "gamma >= 0".
-        kkt: residuals of the conditions of first order, from multipliers and derivatives.
-        curvature: the smallest eigenvalue of the Hessian of the Lagrangian (of the negative objective where that is
-            maximised) in the free numbers that the constraints leave: positive at a strict optimum, infinite where
-            no number is left, nan where it is not computed.
-        errors: estimated absolute errors of the objective, Omega or the period, and free numbers by discretisation.
-        resolution: harmonics, or intervals of the mesh.
-        starts: numbers of the starts that led here.
-    """
-
-    objective: float
-    parameters: Mapping[str, float]
-    orbit: Orbit
-    quantities: Mapping[str, Any]
-    check: PlainCheck
-    conditions: Mapping[str, Array]
-    active: tuple[str, ...]
-    kkt: Kkt
-    curvature: float
-    errors: Mapping[str, float]
-    resolution: int
-    starts: tuple[int, ...]
-
-    def __repr__(self) -> str:
-        free = ", ".join(f"{name} = {value:.10g}" for name, value in list(self.parameters.items())[:4])
-        return f"<Optimum: objective {self.objective:.10g} at {free}{', ...' if len(self.parameters) > 4 else ''}>"
-
-    @classmethod
-    def of(cls, nlp: Nlp, solution: Solution, found: Optimality, free_names: Sequence[str], **known: Any) -> Optimum:
-        """The optimum at the end of Ipopt, with the conditions of optimality there and all else by name."""
-        residual, free = nlp.residual(solution.x), solution.x[nlp.measured].tolist()
-        return cls(
-            objective=solution.objective, parameters=dict(zip(free_names, free, strict=True)), kkt=found.kkt,
-            conditions={name: residual[rows] for name, rows in nlp.conditions.items()}, active=found.active,
-            curvature=found.curvature, **known,
-        )  # fmt: skip
-
-    def __getattr__(self, name: str) -> Any:
-        quantities = self.__dict__.get("quantities", {})
-        if name not in quantities:
-            raise AttributeError(f"optimum: given {name}; {accepted_names(name, quantities)}")
-        return quantities[name]
-
-    def is_near(self, other: Optimum, tolerance: float) -> bool:
-        """Whether objective, free numbers and frequencies are those of another optimum, relative to them or to 1."""
-        one, two = (np.array([o.objective, *o.parameters.values(), o.quantities["Omega"]]) for o in (self, other))
-        return bool(np.all(np.abs(one - two) <= tolerance * np.maximum(1.0, np.abs(one))))
-
-
-# Result of a search: its distinct optima, best first, each with its checks, and the outcome of every start ------------
-
-
-ENGINE = "Ipopt on the equations of one orbit with objective and constraints"
-
-
-class SearchStatus(Enum):
-    """End of a search."""
-
-    FOUND = "found an optimum inside its bounds"
-    ON_BOUND = "the best optimum sits on a bound"
-    INFEASIBLE = "no start met the constraints"
-    UNBOUNDED = "the objective is unbounded"
-    INTERRUPTED = "interrupted"
-    FAILED = "no start converged"
-
-
-@dataclass(frozen=True, eq=False)
-class SearchResult(Result):
-    """Distinct optima, best first.
-
-    Attributes:
-        problem: the search problem.
-        status, reason: how the search ended; `reason` is a sentence.
-        optima: distinct optima.
-        outcomes: one a start done.
-        nearest: where there is no optimum, the outcome that misses the constraints least.
-        seconds: wall-clock time.
-        engine: how optima were found.
-    """
-
-    problem: OrbitSearch
-    status: SearchStatus
-    reason: str
-    optima: tuple[Optimum, ...]
-    outcomes: tuple[Outcome, ...]
-    nearest: Outcome | None
-    seconds: float
-    engine: str = ENGINE
-
-    @property
-    def model(self) -> Any:
-        """The model."""
-        return self.problem.model
-
-    @property
-    def best(self) -> Optimum:
-        """The best optimum; raises ValueError with the reason where there is none."""
-        if not self.optima:
-            raise ValueError(f"search: no optimum; {self.reason}")
-        return self.optima[0]
-
-    @property
-    def found(self) -> bool:
-        """Whether there is an optimum."""
-        return bool(self.optima)
-
-    def __repr__(self) -> str:
-        return f"<SearchResult: {len(self.optima)} optima; {self.reason}>"
-
-
-SAME_OPTIMUM_RTOL = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
-
-
-def search(
-    problem: OrbitSearch,
-    starts: Sequence[Start],
-    *,
-    progress: Report | None = None,
-    workers: int = 1,
-    executor: Executor | None = None,
-) -> SearchResult:
-    """Run a search from its starts.
-
-    Arguments:
-        problem: the search problem.
-        starts: starts of the search, as `problem.starts` makes them.
-        progress: called at iterations of Ipopt and at the end of every start.
-        workers: number of processes that share the starts.
-        executor: processes of the caller in place of `workers`.
-
-    Returns:
-        The result. Ctrl-C ends the search with the best so far.
-
-    Raises:
-        ValueError, TypeError: processes that cannot be used, or a problem that cannot be sent to them.
-    """
-    runner = Runner(progress, workers, executor, lost_start)
-    if executor is not None or workers > 1:
-        _check_pickled(problem)
-    began = time.perf_counter()
-    with runner.listening():
-        outcomes = sorted(runner.run(partial(solve_start, problem), starts), key=lambda outcome: outcome.start.number)
-        optima = list[Optimum]()
-        polished = [problem.polish(*one) for one in distinct(outcomes, problem.maximise)]
-        for optimum in (optimum for optimum in polished if optimum is not None):
-            same = next((k for k, other in enumerate(optima) if other.is_near(optimum, SAME_OPTIMUM_RTOL)), None)
-            if same is None:
-                optima.append(optimum)
-            else:  # optima that differed on coarse discretisations
-                optima[same] = replace(optima[same], starts=(*optima[same].starts, *optimum.starts))
-    gone = f"interrupted after {len(outcomes)} of {len(starts)} starts" if runner.interrupted else ""
-    tried = [outcome for outcome in outcomes if outcome.solution is not None and not optima]
-    near = min(tried, key=lambda outcome: (max(outcome.gap, FEASIBLE_VIOLATION), outcome.objective), default=None)
-    verdict = _verdict(problem, outcomes, optima, near, polished.count(None), gone)
-    return SearchResult(problem, *verdict, tuple(optima), tuple(outcomes), near, time.perf_counter() - began)
-
-
-def _check_pickled(problem: OrbitSearch) -> None:
-    try:
-        pickle.dumps(problem)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        accepted = "names, or functions at the top of a module, where starts run in other processes"
-        words = f"cannot be sent to a process ({' '.join(str(error).split())[:120]})"
-        raise TypeError(f"objective and constraints: {words}; accepted: {accepted}") from None
-
-
-def _verdict(
-    problem: OrbitSearch, outcomes: Sequence[Outcome], optima: Sequence[Optimum], near: Outcome | None,
-    unconfirmed: int, interrupted: str,
-) -> tuple[SearchStatus, str]:  # fmt: skip
-    """The status, with the reason in a sentence; `unconfirmed` optima are those of first discretisations alone."""
-    gone, count = [o for o in outcomes if o.ending is Ending.UNBOUNDED], len(outcomes)
-    if interrupted:
-        words = f"best so far {optima[0].objective:.10g}" if optima else "no optimum so far"
-        return SearchStatus.INTERRUPTED, f"{interrupted}; {words}"
-    if optima:
-        words = f"{len(optima[0].starts)} of {count} starts led to it"
-        words += f"; {len(gone)} ran off without bound, so it is a local one" if gone else ""
-        if optima[0].curvature < FLAT_CURVATURE:
-            words += "; it is flat: neighbours along some direction of the free numbers do as well"
-        if optima[0].active:
-            sits = f"the best optimum sits on a bound: {', '.join(optima[0].active)}"
-            return SearchStatus.ON_BOUND, f"{sits}; {words}"
-        return SearchStatus.FOUND, f"found an optimum inside its bounds; {words}"
-    if gone:
-        k = int(np.argmax(np.abs(gone[0].free)))  # the free number that ran off the farthest
-        words = f"{problem.free[k]} = {gone[0].free[k]:.3g}, objective {gone[0].objective:.3g}"
-        return SearchStatus.UNBOUNDED, f"{len(gone)} of {count} starts ran off without bound: {words}"
-    if near is not None and near.ending is Ending.INFEASIBLE:
-        words = f"{near.worst} is off by {near.gap:.3g} where the nearest start ended"
-        return SearchStatus.INFEASIBLE, f"no start met the constraints; {words}"
-    words = f"no start converged; the first: {outcomes[0].words if outcomes else 'there was no start'}"
-    if unconfirmed:
-        words = f"{unconfirmed} found on the first meshes, and not confirmed by more"
-    return SearchStatus.FAILED, words + (f"; {problem.hint}" if problem.hint else "")
-
-
-def distinct(outcomes: Iterable[Outcome], maximise: bool = False) -> list[tuple[Outcome, tuple[int, ...]]]:
-    """One outcome for each optimum, best first, with the numbers of the starts that led to it."""
-    groups = list[list[Outcome]]()
-    for outcome in outcomes:
-        if outcome.ending is Ending.CONVERGED:
-            same = next((group for group in groups if same_optimum(group[0], outcome)), None)
-            if same is None:
-                groups.append(same := [])
-            same.append(outcome)
-    groups.sort(key=lambda group: -group[0].objective if maximise else group[0].objective)
-    return [(group[0], tuple(dict.fromkeys(o.start.number for o in group))) for group in groups]
-
-
-def same_optimum(one: Outcome, other: Outcome) -> bool:
-    """Whether two outcomes are one optimum: the same place, and the same value of the objective."""
-    near = np.max(np.abs(one.place - other.place)) <= SAME_OPTIMUM_RTOL
-    return bool(near and abs(one.objective - other.objective) <= SAME_OPTIMUM_RTOL * max(1.0, abs(one.objective)))
 
 
 # The public entry -----------------------------------------------------------------------------------------------------
@@ -587,7 +351,7 @@ def search_orbit(
     executor: Executor | None = None,
     progress: Report | None = None,
     **stated: Any,
-) -> SearchResult | Design:
+) -> Design:
     """Find the periodic orbits that optimise an objective over free parameters, from many starts.
 
     Without a guess, orbits of one mode's family by `optimise`, which also takes special points. Near a guess a plain
@@ -618,8 +382,8 @@ def search_orbit(
         progress: called with a `SearchProgress` at iterations and at the end of every start; of a family with words.
 
     Returns:
-        A `SearchResult`: distinct optima, best first, and why the search ended. Ctrl-C ends it with the best so far.
-        Of a family a `Design`, which has these by the same names.
+        The best `Design`, with distinct other optima and how every start ended. Near a guess Ctrl-C ends the search
+        with the best so far, and where nothing is found the design is the nearest one, which says why in `reason`.
 
     Raises:
         ValueError, TypeError: arguments that are not accepted, before anything is solved.
@@ -635,9 +399,28 @@ def search_orbit(
     problem = OrbitSearch.of(
         chain_or_model, guess=guess, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
     )
-    numbers = {name: whole(name, value, least) for name, value, least in (("starts", starts, 1), ("seed", seed, 0))}
-    first = problem.starts(numbers["starts"], numbers["seed"])
-    return search(problem, first, progress=progress, workers=workers, executor=executor)
+    first = problem.starts(whole("starts", starts, 1), whole("seed", seed, 0))
+    runner = Runner(progress, workers, executor, lost_start)
+    if executor is not None or workers > 1:
+        _check_pickled(problem)
+    with runner.listening():
+        outcomes = sorted(runner.run(partial(solve_start, problem), first), key=lambda outcome: outcome.start.number)
+        outcomes = outcomes or [lost_start(first[0], "before it began")]
+        ends = {one.start.number: problem.design(one) for one in outcomes if not one.found}
+        for group in grouped(outcomes):
+            ends |= dict.fromkeys((one.start.number for one in group), problem.polished(group[0]))
+    gone = f"interrupted after {len(outcomes)} of {len(first)} starts" if runner.interrupted else ""
+    return best_of([ends[number] for number in sorted(ends)], gone)
+
+
+def _check_pickled(problem: OrbitSearch) -> None:
+    """Raises TypeError for a search that cannot be sent to another process."""
+    try:
+        pickle.dumps(problem)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        accepted = "names, or functions at the top of a module, where starts run in other processes"
+        words = f"cannot be sent to a process ({' '.join(str(error).split())[:120]})"
+        raise TypeError(f"objective and constraints: {words}; accepted: {accepted}") from None
 
 
 def _of_family(

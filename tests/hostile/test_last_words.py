@@ -184,5 +184,5 @@ def test_a_search_goes_on_where_a_worker_is_killed(times: int, monkeypatch: pyte
     result = search_orbit(duffing, guess=[0.0, 0.0], free=["omega"], bounds={"omega": (0.3, 2.0)}, running=-(q**2),
                           starts=3, workers=2)  # fmt: skip
     assert (result.found, len(killed)) == (True, times)
-    lost = [outcome for outcome in result.outcomes if "its worker ended by signal 9" in outcome.words]
+    lost = [words for words in result.starts if "its worker ended by signal 9" in words]
     assert len(lost) == (times == 2)

@@ -46,7 +46,6 @@ from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.model.arguments import with_error
 from casadi_skin.model.result import Result
 from casadi_skin.results.solutions import SAMPLES
-from casadi_skin.search.nlp import solve_start
 
 X, Y, Z, MU, NU = (ca.SX.sym(name) for name in ("x", "y", "z", "mu", "nu"))
 HOPF = OdeModel(
@@ -142,7 +141,7 @@ def search() -> Any:
 
 
 def search_goes_on(found: Any) -> Any:
-    return solve_start(found.problem, found.problem.starts(1, 0)[0]).free
+    return found.orbit.floquet().multipliers
 
 
 def front() -> Any:
@@ -175,7 +174,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "ParetoFront": front,
     "ProvedStability": lambda: member().proved_stability,
     "ProvedStretch": lambda: family().certify(0.1, 0.2),
-    "SearchResult": search,
+    "Design of a search": search,
     "SmallestKick": kick,
     "Solution": solution,
     "SpecialPoint": lambda: rest().follow("mu", 0.1).special_points[0],
@@ -193,7 +192,7 @@ LEADING_ON: dict[str, Callable[[Any], Any]] = {  # computed from a result, as it
     "Diagram": lambda found: point_of(found, "period doubling").curve("nu", 1.1, max_points=3)["mu"],
     "Equilibrium": lambda equilibrium: equilibrium.follow("mu", 0.1).values,
     "Orbit": lambda orbit: orbit.follow("mu", 0.3, max_points=3).values,
-    "SearchResult": search_goes_on,
+    "Design of a search": search_goes_on,
     "SmallestKick": lambda found: found.orbit.floquet().multipliers,
     "Solution": lambda found: found.follow("nu", 1.2, max_points=3).solutions[-1].point.z,
     "SpecialPoint": lambda point: point.follow("mu", 0.05, max_points=3).values,

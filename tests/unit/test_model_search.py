@@ -11,8 +11,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
-from casadi_skin.search.nlp import Ending
-from casadi_skin.search.orbit_search import SearchResult, SearchStatus
+from casadi_skin.search.design import Design, Ending
 from casadi_skin.solve.processes import SearchProgress
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
@@ -28,20 +27,25 @@ ASKED: dict[str, Any] = {
 }  # fmt: skip
 
 
-def search(**changes: Any) -> SearchResult:
+def search(**changes: Any) -> Design:
     return search_orbit(DUFFING, **(ASKED | {"starts": 3} | changes))
 
 
 @pytest.fixture(scope="module")
-def largest() -> SearchResult:
+def largest() -> Design:
     return search()
 
 
-def test_the_largest_response_is_that_of_a_search_over_plain_orbits(largest: SearchResult) -> None:
+def test_the_largest_response_is_that_of_a_search_over_plain_orbits(largest: Design) -> None:
     best = largest.best
-    assert largest.status is SearchStatus.FOUND
-    assert (best.kkt.largest < 1e-8, best.check.difference < 1e-9, best.active) == (True, True, ())
-    assert len(largest.outcomes) == 3
+    assert best is largest
+    assert best.reason == "found an optimum inside its bounds; 3 of 3 starts led to it"
+    assert max(best.optimality, 10.0 * best.violation, 10.0 * best.difference) < 1e-8
+    assert best.active == ()
+    assert len(largest.starts) == 3
+    assert largest.orbits == (largest.orbit,)
+    assert largest.path[-1] == [best.omega]
+    assert largest.values[-1] == largest.objective
 
     def response(omega: float) -> float:
         orbit = find_orbit(DUFFING, best.orbit, parameters={"omega": omega}, tolerance=1e-10)
@@ -54,20 +58,25 @@ def test_the_largest_response_is_that_of_a_search_over_plain_orbits(largest: Sea
 
 def test_an_optimum_on_a_bound_says_which() -> None:
     result = search(bounds={"omega": (0.3, 1.05)}, starts=1)
-    assert result.status is SearchStatus.ON_BOUND
     assert result.best.active == ("omega <= 1.05",)
+    low, high = (search(bounds={"omega": (0.3, bound)}, starts=1).value for bound in (1.0499, 1.0501))
+    assert result.multipliers["omega <= 1.05"] == pytest.approx((high - low) / 0.0002, rel=1e-5)
     assert "omega <= 1.05" in result.reason
 
 
 def test_a_search_that_no_orbit_can_meet_tells_why() -> None:
     result = search(bounds={"omega": (1.0, 1.05), "q": (-1e-3, 1e-3)}, parameters={"omega": 1.02}, starts=1)
-    assert (result.status, result.optima) == (SearchStatus.INFEASIBLE, ())
-    assert "no start met the constraints; the equation of " in result.reason
-    with pytest.raises(ValueError, match="search: no optimum"):
+    assert (result.status, result.found, result.optima) == (Ending.INFEASIBLE, False, ())
+    assert "the constraints are not met; the equation of " in result.reason
+    with pytest.raises(ValueError, match="design: no optimum; the constraints"):
         _ = result.best
+    with pytest.raises(ValueError, match="design: nothing is located; the constraints"):
+        _ = result.orbit
+    with pytest.raises(AttributeError, match="design: given square; "):
+        _ = result.square
 
 
-def test_names_say_the_same_as_expressions(largest: SearchResult) -> None:
+def test_names_say_the_same_as_expressions(largest: Design) -> None:
     result = search(running="square", maximise=True, starts=1)
     assert result.best.objective == pytest.approx(-largest.best.objective, abs=1e-12)
     assert result.best.omega == pytest.approx(largest.best.omega, abs=1e-9)
@@ -83,12 +92,19 @@ def test_a_condition_holds_at_phase_zero(held: Any) -> None:
     assert best.curvature == np.inf  # one condition and one free number: nothing is left to optimise
 
 
+def test_the_multiplier_of_an_equality_is_the_derivative_of_the_value() -> None:
+    low, there, high = (
+        search(running="square", maximise=True, constraints=[("q", q, q)], starts=1) for q in (0.199, 0.2, 0.201)
+    )
+    assert there.multipliers["q = 0.2"] == pytest.approx((high.value - low.value) / 0.002, rel=1e-4)
+    assert there.active == ()
+
+
 @pytest.mark.slow
 def test_a_condition_that_cannot_hold_is_named() -> None:
     result = search(running="square", maximise=True, constraints=[("q", 0.3, 0.3)], starts=1)
-    assert result.status is SearchStatus.INFEASIBLE
-    assert result.nearest is not None
-    assert result.nearest.gap > 1e-3
+    assert result.status is Ending.INFEASIBLE
+    assert result.violation > 1e-3
     assert "is off by" in result.reason
 
 
@@ -96,13 +112,13 @@ def test_a_condition_that_cannot_hold_is_named() -> None:
 def test_a_bound_on_a_quantity_is_active() -> None:
     bounds = {"omega": (0.3, 2.0), "v": (None, 0.2)}
     result = search(running="square", maximise=True, bounds=bounds, constraints=[], starts=1)
-    assert result.status is SearchStatus.ON_BOUND
+    assert "the optimum sits on a bound: v <= 0.2 at " in result.reason
     assert "v <= 0.2 at " in result.best.active[0]  # a state is bounded over the whole period
     assert np.max(result.best.orbit.states[:, 1]) <= 0.2 + 1e-9
 
 
 @pytest.mark.slow
-def test_conditions_on_one_quantity_are_two(largest: SearchResult) -> None:
+def test_conditions_on_one_quantity_are_two(largest: Design) -> None:
     best = search(constraints=[("q", None, 10.0), ("q", -10.0, None)], starts=1).best
     assert list(best.conditions) == ["q", "q (2)"]
     assert best.curvature == pytest.approx(largest.best.curvature, rel=1e-6)
@@ -119,7 +135,7 @@ def test_a_saddle_is_no_optimum() -> None:
     """q(0) - q(0)^2 is largest at q = 1/2."""
     asked: dict[str, Any] = {"guess": [0.5, 0.0], "objective": Q - Q**2, "starts": 1}
     result = search_orbit(lifted("a"), free=["a"], **asked)
-    assert result.outcomes[0].ending is Ending.NO_OPTIMUM
+    assert result.status is Ending.NO_OPTIMUM
     assert "curvature" in result.reason
     largest = search_orbit(lifted("gamma"), free=["gamma"], maximise=True, **asked)
     assert largest.best.gamma == pytest.approx(0.5, abs=1e-8)
@@ -128,11 +144,12 @@ def test_a_saddle_is_no_optimum() -> None:
 
 
 @pytest.mark.slow
-def test_two_processes_find_what_one_finds(largest: SearchResult) -> None:
+def test_two_processes_find_what_one_finds(largest: Design) -> None:
     told = list[SearchProgress]()
     together = search(workers=2, progress=told.append)
     assert together.best.objective == largest.best.objective
-    assert together.best.starts == largest.best.starts
+    assert together.starts == largest.starts
+    assert together.reason == largest.reason
     assert {progress.start for progress in told} == {1, 2, 3}
 
 
@@ -146,9 +163,9 @@ def test_an_interruption_keeps_the_best() -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     result = search(starts=6, progress=tell)
-    assert result.status is SearchStatus.INTERRUPTED
-    assert [o.ending for o in result.outcomes] == [Ending.CONVERGED, Ending.INTERRUPTED]
-    assert "best so far" in result.reason
+    assert result.found
+    assert result.reason.startswith("interrupted after 2 of 6 starts; found an optimum")
+    assert [words.partition(";")[0] for words in result.starts] == ["found an optimum inside its bounds", "interrupted"]
 
 
 def test_what_searches_are_not_for_is_named() -> None:

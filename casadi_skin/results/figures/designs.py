@@ -1,4 +1,4 @@
-"""The way to a design with the solution there, and where the starts of a search led."""
+"""The way to a design, with the solution there."""
 
 from __future__ import annotations
 
@@ -9,16 +9,12 @@ import numpy as np
 from casadi_skin.results.figures.style import blank, drawn, finished, number, number_sites, plain
 from casadi_skin.search.cosine_orbit import CosineOrbit
 from casadi_skin.search.design import Design
-from casadi_skin.search.nlp import Ending
-from casadi_skin.search.orbit_search import SearchResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from casadi_skin.zero.problem import Array
-
-NARROWEST_AXIS = 1e-3  # of an axis, relative: starts that agree are to look so
 
 
 @drawn
@@ -42,7 +38,13 @@ def design_figure(result: Design, name: str) -> Figure:
 def draw_path(axes: Axes, result: Design) -> None:
     """The designs on the way: in the plane of the first two parameters, also over a map; of one its quantity."""
     names = list(result.parameters)
-    x, y = result.path[:, 0], result.path[:, 1] if len(names) > 1 else result.values
+
+    def places(one: Design) -> tuple[Array, Array]:
+        return one.path[:, 0], one.path[:, 1] if len(names) > 1 else one.values
+
+    for one in result.others:
+        axes.plot(*places(one), "o-", color="0.7", ms=3, lw=0.8, label="to another optimum")
+    x, y = places(result)
     axes.plot(x, y, "o-", color="0.4", ms=3, lw=0.8, label="designs")
     axes.plot(x[:1], y[:1], "s", color="black", mfc="none", label="start")
     axes.plot(x[-1:], y[-1:], "o", color="tab:red", mfc="none", ms=9, label="optimum" if result.found else "end")
@@ -53,20 +55,3 @@ def draw_path(axes: Axes, result: Design) -> None:
 def path_of(result: Design) -> dict[str, Array]:
     """The designs on the way by parameter."""
     return dict(zip(result.parameters, result.path.T, strict=True))
-
-
-def draw_starts(axes: Axes, result: SearchResult, objective: str) -> None:
-    """The objective that each start reached, those that led to an optimum filled."""
-    ends = [(o.start.number, o.objective, o.ending is Ending.CONVERGED) for o in result.outcomes if o.solution]
-    for led, label, fill in ((True, "converged", "black"), (False, "another end", "none")):
-        points = [(number, value) for number, value, converged in ends if converged is led and np.isfinite(value)]
-        if points:
-            axes.plot(*zip(*points, strict=True), "o", color="black", mfc=fill, ms=6, ls="none", label=label)
-    for optimum in result.optima[:1]:
-        axes.axhline(optimum.objective, color="0.7", lw=0.8, zorder=0)
-    low, high = axes.get_ylim()
-    middle = 0.5 * (low + high)
-    half = max(0.5 * (high - low), NARROWEST_AXIS * max(abs(middle), 1e-300))
-    axes.set_ylim(middle - half, middle + half)
-    number_sites(axes, 1, max((o.start.number for o in result.outcomes), default=1), "start")
-    axes.set_ylabel(objective.replace("_", " "))
