@@ -24,7 +24,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from casadi_skin.zero.problem import Array, Indices
@@ -38,6 +37,7 @@ UNSEEN_END_DECAY = 7.0  # cells times decay beyond which that is true to 1e-6 of
 BESIDE_EDGE = 1e-8  # of (cells times decay)^2, below which derivatives of its exponentials cancel
 ROUND_OFF = 1e-14
 WITHIN_BAND = 1.0 - 1e-12  # of the width of a band: short of its other edge
+AT_BAND_EDGE = 1e-13  # of the cosine of the wave number: nearer to 1 or -1 a frequency is at the edge of a band
 AT_END = 1e-10  # angle that rounding leaves at an end of a gap
 SAME_AS_FAR_MODE = 1e-13  # of amplitudes at the far wall: less is left of them at the frequency of a mode of that end
 
@@ -145,33 +145,39 @@ class Tail:
     # One harmonic -----------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _polynomials(self) -> list[tuple[list[float], ...]]:
-        """Of each edge the coefficients of D, s C_oo, s C_ii, s C_oi, s^2 C_2, 2 s C_oi (cos - sign) in lambda off."""
-        found, s, i, o = [], self.coupling, self.inlet, self.outlet
-        rest = [n for n in range(len(self.stiffness)) if n not in (i, o)]
-        for square, sign in self._edges:
-            K = self.stiffness - square * np.eye(len(self.stiffness))
-            values, vectors = np.linalg.eigh(K)
+    def _spectral(self) -> tuple[list[float], list[float], list[list[float]]]:
+        """Eigenvalues of a cell, those without o and i, and of each eigenvector the products for s C_oo, C_ii, C_oi."""
+        values, vectors = np.linalg.eigh(self.stiffness)
+        o, i = vectors[self.outlet], vectors[self.inlet]
+        rest = np.delete(np.arange(len(values)), [self.inlet, self.outlet])
+        without = np.linalg.eigvalsh(self.stiffness[np.ix_(rest, rest)]).tolist() if rest.size else []
+        return values.tolist(), without, (self.coupling * np.stack([o * o, i * i, o * i], axis=1)).tolist()
 
-            def product(roots: Any) -> Array:
-                return np.asarray((-1.0) ** len(roots) * polynomial.polyfromroots(roots) if len(roots) else [1.0])
+    def cofactors(self, square: Any, off: Any = 0.0) -> tuple[Any, Any, Any, Any, Any]:
+        """D, s C_oo, s C_ii, s C_oi and s^2 C_2 where lambda is `off` from a square, each a number or an array."""
+        values, rest, weights = self._spectral
+        apart, oo, ii, oi = [value - square - off for value in values], 0.0, 0.0, 0.0
+        for n, (of_oo, of_ii, of_oi) in enumerate(weights):
+            others = math.prod(apart[:n] + apart[n + 1 :])
+            oo, ii, oi = oo + of_oo * others, ii + of_ii * others, oi + of_oi * others
+        if self.inlet == self.outlet:
+            return math.prod(apart), oo, ii, oi, 0.0
+        return math.prod(apart), oo, ii, oi, self.coupling**2 * math.prod([value - square - off for value in rest])
 
-            others = [product(np.delete(values, n)) for n in range(len(values))]
-            oo, ii, oi = (
-                sum(vectors[a, n] * vectors[b, n] * others[n] for n in range(len(values)))
-                for a, b in ((o, o), (i, i), (o, i))
-            )
-            D = product(values)
-            C2 = product(np.linalg.eigvalsh(K[np.ix_(rest, rest)])) if i != o else np.zeros(1)
-            beyond = polynomial.polysub(polynomial.polysub(D, s**2 * C2), 2.0 * sign * s * oi)
-            beyond[0] = 0.0  # at the edge
-            found.append(tuple(p.tolist() for p in (D, s * oo, s * ii, s * oi, s**2 * C2, beyond)))
-        return found
+    @cached_property
+    def _apart(self) -> list[list[float]]:
+        """Of each edge the distances in lambda to the others of its sign."""
+        return [[square - at for k, (square, s) in enumerate(self._edges) if s == sign and k != edge]
+                for edge, (at, sign) in enumerate(self._edges)]  # fmt: skip
+
+    def _slope(self, edge: int, off: Any) -> Any:
+        """2 s C_oi (cosine of the wave number - that at an edge), over lambda off: it vanishes at edges of one sign."""
+        return -math.prod([distance - off for distance in self._apart[edge]])
 
     def _trace(self, place: Place) -> tuple[Any, Any]:
         """Half the trace of P s C_oi with the cosine of the edge's wave number, and what is beyond that."""
-        oi, beyond = (_value(p, place.off) for p in self._polynomials[place.edge][3::2])
-        return self.signs[place.edge] * oi, 0.5 * beyond
+        oi = self.cofactors(self.edges[place.edge], place.off)[3]
+        return self.signs[place.edge] * oi, 0.5 * place.off * self._slope(place.edge, place.off)
 
     @staticmethod
     def _phase(at_edge: Any, half: Any) -> Any:
@@ -181,10 +187,10 @@ class Tail:
 
     def _vector(self, place: Place, off: Any) -> tuple[Any, Any]:
         """(amplitude across the bond, amplitude of the core's site), up to a factor; in a band of any lobe."""
-        D, oo, ii, oi, C2, beyond = (_value(p, off) for p in self._polynomials[place.edge])
+        D, oo, ii, oi, C2 = self.cofactors(self.edges[place.edge], off)
         sign, c, functions = self.signs[place.edge], self.cells, _functions_of(off)
         first, second = -C2 * self.wall + oo, -ii * self.wall + D  # P s C_oi on the far wall
-        half, at_edge = 0.5 * beyond, sign * oi  # half the trace is at_edge + half
+        half, at_edge = 0.5 * off * self._slope(place.edge, off), sign * oi  # half the trace is their sum
         if math.isfinite(c) and abs(2.0 * half / at_edge) * c**2 < BESIDE_EDGE:  # kappa^2 c^2: to its first power
             small = at_edge * (c - 1.0) / c * (1.0 - (2.0 * c - 1.0) / 3.0 * half / at_edge)
             return first - small * self.wall, second - small
@@ -354,7 +360,7 @@ class Tail:
         Returns:
             Logarithms of a factor a cell, shape (cells,), and the amplitudes over it, shape (cells, sites).
         """
-        D, oo, ii, oi, C2, _ = (_value(p, place.off) for p in self._polynomials[place.edge])
+        D, oo, ii, oi, C2 = self.cofactors(self.edges[place.edge], place.off)
         P, c, n = np.array([[-C2, oo], [-ii, D]]) / oi, self.cells, np.asarray(numbers, dtype=float)
         wall, kappa = np.array([self.wall, 1.0]), self.decay(place)
         sign = math.copysign(1.0, sum(self._trace(place)) / oi)
@@ -409,15 +415,7 @@ class Tail:
 
     def lobe(self, edge: int) -> float:
         """The change of lambda at an edge of a finite tail's band by which (cells times decay)^2 changes by 1."""
-        _, _, _, oi, _, beyond = self._polynomials[edge]
-        return abs(2.0 * oi[0] / beyond[1]) / self.cells**2
-
-    @cached_property
-    def _stacked(self) -> list[Array]:
-        """`_polynomials` of all edges, each of shape (powers, edges), but the last over lambda off."""
-        most = len(self.stiffness) + 1
-        rows = [[np.pad(p, (0, most - len(p))) for p in (*kinds[:-1], kinds[-1][1:])] for kinds in self._polynomials]
-        return [np.array(kind).T for kind in zip(*rows, strict=True)]
+        return float(abs(2.0 * self._trace(Place(edge))[0] / self._slope(edge, 0.0))) / self.cells**2
 
     def turns(self, places: Sequence[Place], roots: ComplexArray, seen: NDArray[np.bool_]) -> ComplexArray:
         """Changes of phi from the first to other distances from an edge, for each of some places.
@@ -429,7 +427,8 @@ class Tail:
         """
         edges, sides = [place.edge for place in places], np.array([place.side for place in places])
         off = sides * roots**2
-        D, oo, ii, oi, C2, slope = (_value(list(kind[:, edges]), off) for kind in self._stacked)
+        D, oo, ii, oi, C2 = np.broadcast_arrays(*self.cofactors(np.array(self.edges)[edges], off))
+        slope = np.array([self._slope(edge, off[:, h]) for h, edge in enumerate(edges)]).T
         at_edge = np.array(self.signs)[edges] * oi
         kappa = 2.0 * np.arcsinh(roots * np.sqrt(0.25 * sides * slope / at_edge))
         small = at_edge * np.exp(-kappa)
@@ -442,6 +441,48 @@ class Tail:
         across, down = (a * one + b * other for one, other in zip(first, second, strict=True))
         turned = (across * down[0] - down * across[0]) / (down * down[0] + across * across[0])
         return np.asarray(np.arctan(turned[1:]))
+
+    # The answer to any frequency --------------------------------------------------------------------------------------
+
+    @cached_property
+    def bound(self) -> Array:
+        """lambda of states bound at the end of an infinite tail: where it answers without limit."""
+        kept = np.delete(np.arange(len(self.stiffness)), self.inlet)  # the inlet is at rest in such a state
+        squares = np.linalg.eigvalsh(self.stiffness[np.ix_(kept, kept)]) if kept.size else np.empty(0)
+        D, _, _, oi, _ = self.cofactors(squares)
+        return np.asarray(squares[np.abs(D) < np.abs(oi)])
+
+    def cosine(self, square: Any) -> Any:
+        """The cosine of the wave number at values of lambda: within -1 and 1 in the bands."""
+        D, _, _, oi, C2 = self.cofactors(square)
+        return (D - C2) / (2.0 * oi)
+
+    def answers(self, frequency: Any) -> tuple[Any, Any, Any]:
+        """The answer of an infinite tail to each frequency, to real ones the limit from above.
+
+        Returns:
+            The factor of amplitudes from cell to cell; the response at the outlet of the first cell to a force there;
+            and the determinant of a cell with the rest of the tail behind it, which is nowhere zero.
+        """
+        square = np.asarray(frequency) ** 2
+        (D, oo, _, oi, _), C = self.cofactors(square), self.cosine(square)
+        beta = _beyond(C) if np.iscomplexobj(square) else self._on_axis(C, square, np.asarray(frequency))
+        return beta, oo / self.coupling / (D - oi * beta), oi / beta
+
+    def _on_axis(self, C: Array, square: Array, frequency: Array) -> Any:
+        C = np.where(np.abs(np.abs(C) - 1.0) <= AT_BAND_EDGE, np.sign(C), C)
+        root, inside = np.sqrt(np.abs(C * C - 1.0)), np.abs(C) < 1.0
+        decays = 1.0 / (C + np.where(C >= 0.0, root, -root))
+        if not inside.any():
+            return decays
+        slope = np.imag(self.cosine(square + 1j * COMPLEX_STEP * np.maximum(np.abs(square), 1.0)))
+        return np.where(inside, C - 1j * np.sign(slope * frequency) * root, decays)
+
+
+def _beyond(C: Any) -> Any:
+    """The factor of waves that decay, from the cosine of a complex wave number."""
+    root = np.sqrt(C - 1.0) * np.sqrt(C + 1.0)
+    return 1.0 / np.where(np.abs(C + root) >= np.abs(C - root), C + root, C - root)
 
 
 def log_sums(logs: Array, parts: Array) -> tuple[Array, Array]:
@@ -462,11 +503,3 @@ def _expm1(number: Any) -> Any:
     if isinstance(number, complex):
         return complex(math.expm1(number.real), math.exp(number.real) * number.imag)
     return math.expm1(number)
-
-
-def _value(coefficients: list[float], off: Any) -> Any:
-    """A polynomial at a number, real or complex."""
-    total = coefficients[-1]
-    for coefficient in coefficients[-2::-1]:
-        total = total * off + coefficient
-    return total

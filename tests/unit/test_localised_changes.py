@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_changes import EdgeOrbits, localised_changes
+from casadi_skin.lattice.tail import Tail
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
 from casadi_skin.stability.result import reversible_floquet
@@ -24,7 +25,7 @@ from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.hill import Hill, Parity, count, zeros_in
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
 from casadi_skin.stability.tongues.localised import find_localised_changes
-from casadi_skin.stability.tongues.medium import Layout, Medium, crossings
+from casadi_skin.stability.tongues.medium import Layout, crossings
 
 Array = NDArray[np.float64]
 
@@ -35,9 +36,9 @@ DIMER = LongLattice(
     math.inf, [Site(name, onsite="y + g*y^3") for name in "ab"],
     [Bond("a", "b", [0], "u*d", GAINS), Bond("b", "a", [1])], "fixed", {"u": 0.4, "gamma": 0.4, "g": 1.0},
 )  # fmt: skip
-CHAIN = Medium(np.array([[3.0]]), math.sqrt(1.0 - 0.25**2))
-TWO_SITES = Medium(np.array([[3.0, -0.4], [-0.4, 3.5]]), 0.9, 0, 1)
-THREE_SITES = Medium(np.array([[3.0, -0.4, 0.0], [-0.4, 3.5, -0.7], [0.0, -0.7, 2.8]]), 0.9, 0, 2)
+CHAIN = Tail(math.inf, np.array([[3.0]]), math.sqrt(1.0 - 0.25**2))
+TWO_SITES = Tail(math.inf, np.array([[3.0, -0.4], [-0.4, 3.5]]), 0.9, 0, 1)
+THREE_SITES = Tail(math.inf, np.array([[3.0, -0.4, 0.0], [-0.4, 3.5, -0.7], [0.0, -0.7, 2.8]]), 0.9, 0, 2)
 MEDIA = [CHAIN, TWO_SITES, THREE_SITES]
 PARITIES: tuple[Parity, Parity] = ("cosine", "sine")
 
@@ -61,9 +62,9 @@ def diagram_of(branch: Branch) -> StabilityDiagram:
     return found
 
 
-def dense_tail(medium: Medium, cells: int) -> Array:
+def dense_tail(medium: Tail, cells: int) -> Array:
     """Stiffness of many cells in a row, that nearest to the edge last."""
-    p = medium.sites
+    p = len(medium.stiffness)
     K = np.kron(np.eye(cells), medium.stiffness)
     for n in range(cells - 1):
         far, near = n * p + medium.outlet, (n + 1) * p + medium.inlet
@@ -76,8 +77,8 @@ def dense_tail(medium: Medium, cells: int) -> Array:
 
 @pytest.mark.parametrize("medium", MEDIA)
 @pytest.mark.parametrize("frequency", [0.7 + 0.3j, 1.9 + 0.5j, -1.6 + 0.4j, 3.1 + 0.1j, 0.2j])
-def test_a_medium_answers_as_many_cells_do(medium: Medium, frequency: complex) -> None:
-    cells, p = 120, medium.sites
+def test_a_medium_answers_as_many_cells_do(medium: Tail, frequency: complex) -> None:
+    cells, p = 120, len(medium.stiffness)
     matrix = dense_tail(medium, cells) - frequency**2 * np.eye(cells * p)
     force = np.zeros(cells * p)
     force[(cells - 1) * p + medium.outlet] = 1.0
@@ -90,7 +91,7 @@ def test_a_medium_answers_as_many_cells_do(medium: Medium, frequency: complex) -
 
 
 @pytest.mark.parametrize("medium", MEDIA)
-def test_real_frequencies_are_the_limit_from_above(medium: Medium) -> None:
+def test_real_frequencies_are_the_limit_from_above(medium: Tail) -> None:
     """In the bands of both signs of frequency, and in the gaps, where the answer is real."""
     at = np.linspace(-2.6, 2.6, 41)
     for near, exact in zip(medium.answers(at + 1e-7j), medium.answers(at), strict=True):
@@ -105,13 +106,13 @@ def test_bands_of_a_medium_are_those_of_bloch_waves() -> None:
             K[medium.inlet, medium.outlet] -= medium.coupling * np.exp(1j * phase)
             K[medium.outlet, medium.inlet] -= medium.coupling * np.exp(-1j * phase)
             C = medium.cosine(np.linalg.eigvalsh(K))
-            assert np.allclose(np.abs(C), abs(math.cos(phase)), atol=1e-12) or medium.sites > 1
+            assert np.allclose(np.abs(C), abs(math.cos(phase)), atol=1e-12) or len(medium.stiffness) > 1
             assert np.allclose(C, math.cos(phase), atol=1e-10)
 
 
 def test_states_bound_at_the_end_of_a_medium_are_those_of_many_cells() -> None:
     """Cells joined more strongly than the sites within have one; the chain, and cells joined weakly, have none."""
-    weak = Medium(TWO_SITES.stiffness, 0.3, 0, 1)
+    weak = Tail(math.inf, TWO_SITES.stiffness, 0.3, 0, 1)
     assert [medium.bound.size for medium in (CHAIN, weak, TWO_SITES)] == [0, 0, 1]
     for medium in (TWO_SITES, THREE_SITES):
         squares = np.linalg.eigvalsh(dense_tail(medium, 60))
@@ -124,9 +125,9 @@ def test_states_bound_at_the_end_of_a_medium_are_those_of_many_cells() -> None:
 # Hill's determinant ---------------------------------------------------------------------------------------------------
 
 
-def example(medium: Medium, Omega: float = 1.3, strength: float = 0.5, swing: float = 0.05) -> Hill:
+def example(medium: Tail, Omega: float = 1.3, strength: float = 0.5, swing: float = 0.05) -> Hill:
     """Two cells whose stiffness oscillates, and that of their bond by `swing`."""
-    p = medium.sites
+    p = len(medium.stiffness)
     cells = np.zeros((2, 3, p, p))
     cells[:, 0] = medium.stiffness
     cells[0, 1:, medium.inlet, medium.inlet] = 0.1 * strength, 0.02
@@ -139,10 +140,10 @@ def example(medium: Medium, Omega: float = 1.3, strength: float = 0.5, swing: fl
 
 @pytest.mark.parametrize("medium", MEDIA)
 @pytest.mark.parametrize("swing", [0.05, 0.0])
-def test_the_determinant_is_that_of_many_cells(medium: Medium, swing: float) -> None:
+def test_the_determinant_is_that_of_many_cells(medium: Tail, swing: float) -> None:
     """Ratios at two exponents, with the free medium's determinant taken off by hand."""
     hill, tail = example(medium, swing=swing), dense_tail(medium, 24)
-    p = medium.sites
+    p = len(medium.stiffness)
     m = np.arange(-hill.sidebands - 1, hill.sidebands + 1)
 
     def dense(sigma: complex) -> complex:
@@ -183,7 +184,7 @@ def test_the_determinant_is_that_of_many_cells(medium: Medium, swing: float) -> 
 
 @needs_kernels
 @pytest.mark.parametrize("medium", MEDIA)
-def test_cells_are_eliminated_alike_by_the_kernel_and_by_numpy(medium: Medium) -> None:
+def test_cells_are_eliminated_alike_by_the_kernel_and_by_numpy(medium: Tail) -> None:
     """At real exponents in arcs and gaps, at complex ones, and where cosines and sines part."""
     two = example(medium, swing=0.0)
     cells = np.concatenate([0.3 * two.cells[:1] + 0.7 * two.cells[1:], two.cells, two.cells])
@@ -209,7 +210,7 @@ def test_a_pivot_that_vanishes_is_an_error() -> None:
 
 @pytest.mark.parametrize("medium", MEDIA)
 @pytest.mark.parametrize("end", [0.0, 1.3])
-def test_cosines_and_sines_part_at_the_ends(medium: Medium, end: float) -> None:
+def test_cosines_and_sines_part_at_the_ends(medium: Tail, end: float) -> None:
     """The sign of the determinant is the product of both; Omega = 1.3 has no band edge there."""
     hill = example(medium, 9.0 if end == 0.0 else 6.0)
     end = 0.0 if end == 0.0 else hill.Omega

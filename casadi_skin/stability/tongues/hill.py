@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.lattice.tail import Tail
 from casadi_skin.native import eliminated, kernels
 from casadi_skin.stability.flows import OrbitState
 from casadi_skin.stability.tongues import chebyshev
@@ -29,7 +30,6 @@ from casadi_skin.stability.tongues.medium import (
     START_END,
     Gap,
     Layout,
-    Medium,
     names_of_arcs,
 )
 from casadi_skin.zero.coordinates import Coordinates
@@ -60,7 +60,7 @@ class Hill:
     """
 
     Omega: float
-    medium: Medium
+    medium: Tail
     cells: Array
     bonds: Array
     inlet: int
@@ -143,7 +143,7 @@ class Hill:
     def _eliminated(self, frequency: Any, cells: Array, bonds: Array) -> tuple[Array, Any]:
         """Logarithms and phases of D, cell by cell from the medium to the edge; frequencies (values, sidebands)."""
         _, response, free = self.medium.answers(frequency)
-        values, count, p = frequency.shape[0], frequency.shape[1], self.medium.sites
+        values, count, p = frequency.shape[0], frequency.shape[1], len(self.medium.stiffness)
         squares = np.repeat(frequency**2, p, axis=1)
         diagonal, at_inlet = np.arange(count * p), np.arange(count) * p + self.inlet
         sizes = 1.0 + (2.0 * self.Omega * np.arange(-(count // 2), count - count // 2)[:, None]) ** 2
@@ -167,7 +167,7 @@ class Hill:
         They are eliminated from the edge on: what the medium answers, alone complex at real exponents, comes last.
         """
         if kernels() and len(cells) > 1 and self._springs is not None:
-            return eliminated(cells, *self._springs, self.medium.sites, squares)
+            return eliminated(cells, *self._springs, len(self.medium.stiffness), squares)
         log, phase, behind = 0.0, 1.0, None
         for n in range(len(cells) - 1, 0, -1):
             A = np.asarray(cells[n] - (0.0 if behind is None else self._through(bonds, n, behind)), squares.dtype)
@@ -185,7 +185,7 @@ class Hill:
     @cached_property
     def _springs(self) -> tuple[Array, tuple[int, int]] | None:
         """Bonds as numbers, and the sites of two cells that they join; None where they oscillate or join others."""
-        p = self.medium.sites
+        p = len(self.medium.stiffness)
         sizes = np.max(np.abs(self.bonds), axis=0, initial=0.0)
         a, b = divmod(int(np.argmax(sizes[0])), p)
         sizes[0, a, b] = 0.0
@@ -423,8 +423,8 @@ class EdgeHill:
         """Hill's equations of an orbit."""
         localised = self.coordinates.localised
         assert localised is not None
-        medium = Medium(localised.stiffness, localised.coupling, localised.inlet, localised.outlet)
-        count, p = PHASES_PER_COSINE * problem.resolution + SPARE_PHASES, medium.sites
+        medium = Tail(np.inf, localised.stiffness, localised.coupling, localised.inlet, localised.outlet)
+        count, p = PHASES_PER_COSINE * problem.resolution + SPARE_PHASES, len(medium.stiffness)
         q = problem.sample(z, np.pi * np.arange(count) / count)
         parameter = np.full((1, count), float(z[problem.parameter_index]))
         forces, rows, columns = self._forces(count)
