@@ -33,27 +33,20 @@ from casadi_skin.zero.statement import Statement
 
 
 @dataclass(frozen=True)
-class Optimality:
-    """The Karush-Kuhn-Tucker conditions of a solution, evaluated apart from the solver.
+class Optimum:
+    """The smallest value of the objective, and the Karush-Kuhn-Tucker conditions, evaluated apart from the solver.
 
     `kkt` is the largest of stationarity and complementarity relative to the largest gradient or multiplier, `violation`
     that of equations and bounds, and `active` are the bounds with a multiplier, in words. `curved` is true where the
     curvature is that of a minimum; it is not known where the model holds a program, such as an FMU.
     """
 
+    objective: float
+    objective_error: float
     kkt: float
     violation: float
     active: tuple[str, ...]
     curved: bool
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """The smallest value of the objective, with its estimated error, and the optimality conditions there."""
-
-    objective: float
-    objective_error: float
-    optimality: Optimality
 
 
 PARAMETERS_SHOWN = 6  # parameters in a line
@@ -246,9 +239,9 @@ class Solution(Result):
     @property
     def status(self) -> str:
         """The outcome of the optimisation, in a sentence; raises ValueError without an objective."""
-        optimality, error = self._known_optimum().optimality, max(self.error, self.parameter_error)
-        active = ", ".join(optimality.active)
-        kind = "a local optimum" if optimality.curved else "a stationary point"
+        optimum, error = self._known_optimum(), max(self.error, self.parameter_error)
+        active = ", ".join(optimum.active)
+        kind = "a local optimum" if optimum.curved else "a stationary point"
         words = f"{kind}{f' on the bounds {active}' if active else ''}"
         if error > self.space.tolerance:
             words += f", to {error:.1e}: bounds hold states at the mesh's points only"

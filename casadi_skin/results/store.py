@@ -49,7 +49,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "follow.family_series": "FamilySeries",
     "follow.rest_space": "CurveSpace EquilibriumSpace",
     "follow.search": "Monitor",
-    "follow.solution": "Equilibrium Optimality Optimum Orbit Solution",
+    "follow.solution": "Equilibrium Optimum Orbit Solution",
     "follow.special_points": "SpecialPoint",
     "lattice.chain": "Chain",
     "lattice.declaration": "Bond Declaration Site Uniform",

@@ -22,7 +22,6 @@ from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import in_turn
 from casadi_skin.search.conditions import Condition, named
-from casadi_skin.search.design import inequalities
 from casadi_skin.search.nlp import FLAT_CURVATURE, Nlp, Optimality, Solution, optimality
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
 from casadi_skin.solve.levels import ERROR_SAFETY
@@ -128,9 +127,8 @@ class Refined:
     @property
     def optimum(self) -> solutions.Optimum:
         """The optimum as a solution carries it."""
-        found = self.optimality
-        conditions = solutions.Optimality(found.kkt, found.violation, inequalities(found.multipliers), self.nlp.exact)
-        return solutions.Optimum(self.solution.objective, self.objective_error, conditions)
+        found, value = self.optimality, self.solution.objective
+        return solutions.Optimum(value, self.objective_error, found.kkt, found.violation, found.active, self.nlp.exact)
 
     @property
     def point(self) -> Point:
@@ -189,7 +187,7 @@ def refined(nlp: BoundaryNlp, solution: Solution, flat: bool = False) -> Refined
         scalars, profile = above.frequency_step(better.x, moved), above.profile_change(better.x, moved)
         error = ErrorEstimate(ERROR_SAFETY * scalars, ERROR_SAFETY * profile)
         conditions, moved_by = optimality(finer, better), ERROR_SAFETY * abs(better.objective - solution.objective)
-        enough = above.resolution >= ENOUGH_INTERVALS and any(w.split()[0] in states for w in conditions.multipliers)
+        enough = above.resolution >= ENOUGH_INTERVALS and any(w.split()[0] in states for w in conditions.active)
         if enough or (flat and conditions.curvature < FLAT_CURVATURE) or error.relative(1.0) <= tolerance:
             return Refined(finer, better, conditions, error, moved_by)
         errors.append(error.relative(1.0))

@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.search.design import Ending
+from casadi_skin.search.design import Ending, inequalities
 from casadi_skin.solve.ipopt import IterationCallback, Monitor, nlp_reason, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
@@ -223,6 +223,11 @@ class Optimality:
     multipliers: Mapping[str, float]
     curvature: float
     negative: float
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """The active bounds."""
+        return inequalities(self.multipliers)
 
 
 @lru_cache(maxsize=8)

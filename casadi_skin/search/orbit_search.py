@@ -6,7 +6,7 @@ import math
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -23,7 +23,7 @@ from casadi_skin.model.expressions import Expression, real_array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import in_turn
 from casadi_skin.search.boundary_nlp import BoundaryNlp, refined
-from casadi_skin.search.conditions import Condition, checked_bounds, checked_conditions, free_names, sampled_starts
+from casadi_skin.search.conditions import checked_bounds, checked_conditions, free_names, sampled_starts
 from casadi_skin.search.design import Design, Ending, best_of, grouped, optimum_words
 from casadi_skin.search.design_problem import DesignProblem, family_starts
 from casadi_skin.search.designs import best_design
@@ -40,134 +40,85 @@ CONSERVED = "hamiltonian"
 SPECIAL_QUANTITIES = (PERIOD, "Omega")
 MOST_UNIT_RATIO, UNEVEN_UNIT_RATIO = 1e8, 1e4  # sizes of states that differ by more leave Ipopt no digits, or few
 ENGINE = "Ipopt on the equations of one orbit with objective and constraints"
-OWN_NAME_PREFIX = "search "  # with which names of the caller's expressions begin
 
 Quantity = str | Expression
 
 
-@dataclass(frozen=True, eq=False)
 class OrbitSearch:
-    """A search for orbits near a guess: states at times over the unknown part of a period.
+    """A search for orbits near a guess: `states` at times `t` over the unknown part of a period.
 
-    `objective`, at phase zero, `running`, whose mean over the period is added, and the conditions are names: of a
-    state, an output, a parameter, "hamiltonian", "period" or "Omega". Expressions of the caller, those that select the
-    orbit among them, have become outputs of the model; `named` has their names. `limits` has the bounds of states, free
-    parameters and the period. It can be pickled where its model can.
+    Quantities are functions of (t, x, p, period): the `objective`, at phase zero; `running`, whose mean over the period
+    is added; those of `selecting`, which vanish at phase zero; those of `conditions`; and all that have `names`.
+    `limits` has the bounds of states, free parameters and the period. It can be pickled where its model can.
     """
 
-    model: OdeModel
-    t: Array
-    states: Array
-    parameters: Mapping[str, float]
-    free: tuple[str, ...]
-    limits: Mapping[str, tuple[float, float]]
-    conditions: tuple[Condition, ...]
-    named: Mapping[str, str]
-    maximise: bool
-    options: Mapping[str, Any]  # of find_orbit, beyond expressions
-    accuracy: Mapping[str, Any]  # tolerance and methods, options of find_orbit too
-
-    @classmethod
-    def of(
-        cls,
-        model: OdeModel,
-        *,
-        guess: Guess,
-        free: Sequence[str],
-        period: float | None = None,
-        parameters: Mapping[str, float] | None = None,
-        objective: Quantity | None = None,
-        running: Quantity | None = None,
-        select: Expression | None = None,
-        section: Expression | None = None,
-        bounds: Mapping[str, Any] | None = None,
-        constraints: Sequence[Any] = (),
-        maximise: bool = False,
-        symmetric: bool = False,
-        cycles: int = 1,
-        **method: Any,
-    ) -> OrbitSearch:
+    def __init__(
+        self, model: OdeModel, *, guess: Guess, free: Sequence[str], period: float | None = None,
+        parameters: Mapping[str, float] | None = None, objective: Quantity | None = None,
+        running: Quantity | None = None, select: Expression | None = None, section: Expression | None = None,
+        bounds: Mapping[str, Any] | None = None, constraints: Sequence[Any] = (), maximise: bool = False,
+        symmetric: bool = False, cycles: int = 1, **accuracy: Any,
+    ) -> None:  # fmt: skip
         """From the arguments of `search_orbit`; raises ValueError and TypeError for values that are not accepted."""
-        accuracy_of(method)  # raises for options that are not accepted
+        accuracy_of(accuracy)  # raises for options that are not accepted
         if objective is None and running is None:
             raise ValueError("objective: given neither objective nor running; accepted: one of them, or both")
-        first = model.first_order()
-        values, names = named_values(first, parameters), free_names(free, first.parameter_names)
-        quantities, outputs = _quantities(first), dict(first.outputs)
-        stated = {"objective": objective, "running": running, "select": select, "section": section}
-        named = {
-            label: _output(first, label, given, outputs, quantities)
-            for label, given in stated.items() if given is not None
-        }  # fmt: skip
-        kind = "an expression in states and parameters"
-        held = [
-            replace(c, quantity=_output(first, f"constraints, item {k}", c.quantity, outputs, quantities))
-            for k, c in enumerate(checked_conditions(constraints, (ca.SX, ca.MX), kind), start=1)
+        self.model = model = model.first_order()
+        self.parameters, self.free = named_values(model, parameters), free_names(free, model.parameter_names)
+        self.options, self.accuracy = {"symmetric": symmetric, "cycles": cycles}, accuracy  # of `find_orbit`
+        kind = type(model.state)
+        time = kind.sym("t") if model.time is None else model.time
+        symbols = [time, model.full_state, model.parameters, kind.sym(PERIOD)]
+        known = _quantities(model, symbols[-1])
+        self.names, self.values = tuple(known), ca.Function("values", symbols, list(known.values()))
+
+        def function(label: str, given: Any, special: bool = True) -> ca.Function | None:
+            return None if given is None else _function(model, symbols, known, label, given, special)
+
+        self.objective, self.running = function("objective", objective), function("running", running, False)
+        words = [] if objective is None else [objective if isinstance(objective, str) else "objective"]
+        words += [] if running is None else [f"mean of {running if isinstance(running, str) else 'running'}"]
+        self.quantity, self.maximise = " + ".join(words), bool(maximise)
+        selecting = {"select": function("select", select, False), "section": function("section", section, False)}
+        self.selecting = {label: each for label, each in selecting.items() if each is not None}
+        held = checked_conditions(constraints, (ca.SX, ca.MX), "an expression in states and parameters")
+        fixed = [name for name in self.parameters if name not in self.free]
+        wide = dict.fromkeys(self.free, (-math.inf, math.inf))
+        self.limits, more = checked_bounds(bounds, wide, fixed, known)
+        own = (*model.state_names, *(() if model.forced else (PERIOD,)))
+        self.limits |= {c.quantity: (c.lower, c.upper) for c in more if c.quantity in own}
+        self.conditions = [
+            replace(c, quantity=function(f"constraints, item {item}", c.quantity))
+            for item, c in enumerate((*held, *(c for c in more if c.quantity not in own)), start=1)
         ]
-        fixed = [name for name in values if name not in names]
-        limits, more = checked_bounds(bounds, dict.fromkeys(names, (-math.inf, math.inf)), fixed, quantities)
-        own = (*first.state_names, *(() if first.forced else (PERIOD,)))
-        limits |= {c.quantity: (c.lower, c.upper) for c in more if c.quantity in own}
         whole("cycles", cycles, 1)
         truth("symmetric", symmetric)
-        if first.forced:
-            length = cycles * first.forcing_period_at(list(values.values()))
+        if model.forced:
+            length = cycles * model.forcing_period_at(list(self.parameters.values()))
         else:
             length = guessed_period(guess, period)
-        part = symmetry_class(first).value if symmetric else 1.0
-        t = np.linspace(0.0, part * length, GUESS_SAMPLES)
-        closed = Statement(first, [first.end(first.state) - first.start(first.state)], parameters=values)
-        states = sampled(closed, guess, t)
-        _check_units(first.state_names, states)
-        return cls(
-            model=replace(first, outputs=outputs, checked=False),
-            t=t,
-            states=states,
-            parameters=values,
-            free=names,
-            limits=limits,
-            conditions=(*held, *(c for c in more if c.quantity not in own)),
-            named=named,
-            maximise=bool(maximise),
-            options={"symmetric": symmetric, "cycles": cycles},
-            accuracy=dict(method),
-        )
-
-    # The statement ----------------------------------------------------------------------------------------------------
-
-    @property
-    def hint(self) -> str:
-        ratio, words = _units(self.model.state_names, self.states)
-        return f"units are uneven, {words}: try others" if ratio > UNEVEN_UNIT_RATIO else ""
-
-    def _expression(self, name: str) -> Expression:
-        """A state, an output, a parameter or the hamiltonian in the model's symbols."""
-        model = self.model
-        if name in model.state_names:
-            return model.full_state[model.state_names.index(name)]
-        if name in model.parameter_names:
-            return model.parameters[model.parameter_names.index(name)]
-        return model.hamiltonian if name == CONSERVED else model.outputs[name]
+        self.t = np.linspace(0.0, self._part * length, GUESS_SAMPLES)
+        closed = Statement(model, [model.end(model.state) - model.start(model.state)], parameters=self.parameters)
+        self.states = sampled(closed, guess, self.t)
+        ratio, units = _units(model.state_names, self.states)
+        if ratio > MOST_UNIT_RATIO:
+            accepted = f"units in which states differ by at most {MOST_UNIT_RATIO:g}"
+            raise ValueError(f"guess: given {units}; accepted: {accepted}")
+        self.hint = f"; units are uneven, {units}: try others" if ratio > UNEVEN_UNIT_RATIO else ""
 
     @property
     def _part(self) -> float:
         """The part of the period that is unknown."""
         return symmetry_class(self.model).value if self.options["symmetric"] else 1.0
 
-    def _vanishing(self) -> dict[str, Expression]:
-        return {label: self._expression(self.named[label]) for label in ("select", "section") if label in self.named}
-
     # Orbits and programmes ------------------------------------------------------------------------------------------
-
-    def starts(self, count: int, seed: int, first: Sequence[float] | None = None) -> tuple[Start, ...]:
-        values = [self.parameters[name] for name in self.free] if first is None else first
-        rows = sampled_starts(values, [self.limits[name] for name in self.free], count, seed)
-        return tuple(Start(k, row) for k, row in enumerate(rows, start=1))
 
     def plain(self, free: Sequence[float] | Array, t: Array, states: Array, intervals: int | None = None) -> Orbit:
         """The orbit near states at free numbers, without objective; raises BoundaryError where none is found."""
         values = {**self.parameters, **dict(zip(self.free, map(float, free), strict=True))}
-        options = {**self._vanishing(), **self.options, **self.accuracy}
+        at_zero = 0.0, self.model.full_state, self.model.parameters, 0.0
+        selecting = {label: function(*at_zero) for label, function in self.selecting.items()}
+        options = {**selecting, **self.options, **self.accuracy}
         options |= {} if intervals is None else {"intervals": intervals}
         period = None if self.model.forced else float(t[-1]) / self._part
         return find_orbit(self.model, (t, states), period, parameters=values, **options)
@@ -180,7 +131,7 @@ class OrbitSearch:
         statement = self._statement(plain)
         space = replace(plain.space, statement=statement, sizes=Sizes.of(statement, plain.states))
         problem = stated(space.levels.problem(plain.intervals).with_constants(plain.problem.constants))
-        conditions = [replace(c, quantity=self._at_phase_zero(statement, plain, c.quantity)) for c in self.conditions]
+        conditions = [replace(c, quantity=self._at_zero(plain, c.quantity)) for c in self.conditions]
         scales = {name: high - low for name, (low, high) in self.limits.items() if name in self.free}
         scales = {name: s if math.isfinite(s) else max(1.0, abs(self.parameters[name])) for name, s in scales.items()}
         if not self.model.forced:
@@ -190,27 +141,22 @@ class OrbitSearch:
 
     def _statement(self, plain: Orbit) -> Statement:
         """The plain orbit's problem with free parameters, bounds and the objective."""
-        statement = plain.statement
-        stated: dict[str, Any] = {}
-        if "objective" in self.named:
-            stated["objective"] = self._at_phase_zero(statement, plain, self.named["objective"])
-        if "running" in self.named:
+        statement, stated = plain.statement, dict[str, Any]()
+        if self.objective is not None:
+            stated["objective"] = self._at_zero(plain, self.objective)
+        if self.running is not None:
             model, end = statement.model, statement.interval[1]
-            along = self.model.function("running", self._expression(self.named["running"]))
-            count, time = int(self.model.parameters.numel()), model.time if self.model.forced else 0.0
-            stated["running"] = along(time, model.full_state, model.parameters[:count]) / end
+            time = model.time if self.model.forced else 0.0
+            along = self.running(time, model.full_state, model.parameters[: len(self.parameters)], 0.0)
+            stated["running"] = along / end
         free = (*statement.free, *self.free)
         return replace(statement, parameters=plain.parameters, free=free, bounds=dict(self.limits), **stated)
 
-    def _at_phase_zero(self, statement: Statement, plain: Orbit, name: str) -> Expression:
+    def _at_zero(self, plain: Orbit, function: ca.Function) -> Expression:
         """A quantity at phase zero, in the start's state and the parameters of the statement's model."""
-        model = statement.model
-        if name in SPECIAL_QUANTITIES:
-            period = type(model.state)(statement.interval[1]) / plain.symmetry.value
-            return period if name == PERIOD else 2.0 * math.pi / period
-        count = int(self.model.parameters.numel())
-        function = self.model.function("at_zero", self._expression(name))
-        return function(0.0, model.ends[0], model.parameters[:count])
+        model, end = plain.statement.model, plain.statement.interval[1]
+        period = type(model.state)(end) / plain.symmetry.value
+        return function(0.0, model.ends[0], model.parameters[: len(self.parameters)], period)
 
     # Designs --------------------------------------------------------------------------------------------------------
 
@@ -221,13 +167,13 @@ class OrbitSearch:
         values = outcome.values if len(outcome.path) else np.full(1, np.nan)
         if status is Ending.UNBOUNDED:
             k = int(np.argmax(np.abs(path[-1])))  # the free number that ran off the farthest
-            words = f"{self.free[k]} = {path[-1][k]:.3g}, {self._quantity} = {values[-1]:.3g}"
+            words = f"{self.free[k]} = {path[-1][k]:.3g}, {self.quantity} = {values[-1]:.3g}"
         elif status is Ending.INFEASIBLE:
             words += " at the nearest design"
-        elif self.hint:
-            words += f"; {self.hint}"
+        else:
+            words += self.hint
         return Design(
-            self._quantity, self.maximise, float(values[-1]), np.nan,
+            self.quantity, self.maximise, float(values[-1]), np.nan,
             dict(zip(self.free, path[-1].tolist(), strict=True)), {name: self.limits[name] for name in self.free}, path,
             values, status, f"{status.value}; {words}", ENGINE, violation=outcome.violation,
         )  # fmt: skip
@@ -258,46 +204,36 @@ class OrbitSearch:
             reason=optimum_words(found.multipliers) + (flat if found.curvature < FLAT_CURVATURE else ""),
         )  # fmt: skip
 
-    @property
-    def _quantity(self) -> str:
-        """What is optimised, in words."""
-        names = {label: name.removeprefix(OWN_NAME_PREFIX) for label, name in self.named.items()}
-        found = [names["objective"]] if "objective" in names else []
-        return " + ".join([*found, *([f"mean of {names['running']}"] if "running" in names else [])])
-
     def _quantities(self, orbit: Orbit) -> dict[str, float]:
-        """Parameters, period and Omega; states, outputs and the hamiltonian at phase zero."""
-        model, names = self.model, list(_quantities(self.model))
-        parameters = {name: orbit.parameters[name] for name in model.parameter_names}
-        expressions = [self._expression(name) for name in names if name not in SPECIAL_QUANTITIES]
-        values = model.function("values", *expressions).call([0.0, orbit.evaluate(0.0), list(parameters.values())])
-        at_zero = zip((name for name in names if name not in SPECIAL_QUANTITIES), map(float, values), strict=True)
-        own = {name: value for name, value in at_zero if not name.startswith(OWN_NAME_PREFIX)}
-        return {PERIOD: orbit.period, "Omega": 2.0 * math.pi / orbit.period} | own | parameters
+        """Those that have names, at phase zero."""
+        parameters = [orbit.parameters[name] for name in self.parameters]
+        values = self.values.call([0.0, orbit.evaluate(0.0), parameters, orbit.period])
+        return dict(zip(self.names, map(float, values), strict=True))
 
 
-def _quantities(model: OdeModel) -> tuple[str, ...]:
-    """Names of the quantities that may be optimised or bounded."""
-    conserved = () if model.hamiltonian is None else (CONSERVED,)
-    return tuple(
-        dict.fromkeys((*SPECIAL_QUANTITIES, *model.state_names, *model.parameter_names, *model.outputs, *conserved))
-    )
+def _quantities(model: OdeModel, period: Expression) -> dict[str, Expression]:
+    """The quantities that have names: period and Omega, states, parameters, outputs, the hamiltonian."""
+    special = {PERIOD: period, "Omega": 2.0 * math.pi / period}
+    found = dict(zip(model.state_names, ca.vertsplit(model.full_state), strict=True))
+    found |= dict(zip(model.parameter_names, ca.vertsplit(model.parameters), strict=True)) | dict(model.outputs)
+    found |= {} if model.hamiltonian is None else {CONSERVED: model.hamiltonian}
+    return special | found | special
 
 
-def _output(
-    model: OdeModel, label: str, given: Quantity, outputs: dict[str, Expression], quantities: Sequence[str]
-) -> str:
-    """The name of a quantity; an expression becomes an output. Raises ValueError and TypeError where it is neither."""
+def _function(
+    model: OdeModel, symbols: Sequence[Expression], known: Mapping[str, Expression], label: str, given: Quantity,
+    special: bool,
+) -> ca.Function:  # fmt: skip
+    """A quantity as a function of the symbols; raises ValueError and TypeError. Not all may be of the period alone."""
     if isinstance(given, str):
-        known = [name for name in quantities if label != "running" or name not in SPECIAL_QUANTITIES]
-        if given not in known:
-            raise ValueError(f"{label}: given {short_repr(given)}; {accepted_names(given, known)}, or an expression")
-        return given
-    symbols = [model.full_state, model.parameters]
-    given = scalar_of(label, given, model)
-    check_expressions([(label, given)], [*symbols, *([model.time] if model.forced and label == "running" else [])])
-    outputs[OWN_NAME_PREFIX + label] = given
-    return OWN_NAME_PREFIX + label
+        names = [name for name in known if special or name not in SPECIAL_QUANTITIES]
+        if given not in names:
+            raise ValueError(f"{label}: given {short_repr(given)}; {accepted_names(given, names)}, or an expression")
+        return ca.Function("quantity", symbols, [known[given]])
+    expression = scalar_of(label, given, model)
+    time, *others, _ = symbols
+    check_expressions([(label, expression)], [*others, *([time] if model.forced and label == "running" else [])])
+    return ca.Function("quantity", symbols, [expression])
 
 
 def difference(orbit: Orbit, plain: Orbit) -> float:
@@ -311,13 +247,6 @@ def difference(orbit: Orbit, plain: Orbit) -> float:
     largest = np.max(np.abs(other), axis=0)
     apart = float(np.max(np.abs(one - other) / np.maximum(largest, 1e-6 * np.max(largest))))
     return max(abs(orbit.period - plain.period) / plain.period, apart)
-
-
-def _check_units(names: Sequence[str], states: Array) -> None:
-    """Raises ValueError where states that move have sizes that a nonlinear programme cannot hold together."""
-    ratio, words = _units(names, states)
-    if ratio > MOST_UNIT_RATIO:
-        raise ValueError(f"guess: given {words}; accepted: units in which states differ by at most {MOST_UNIT_RATIO:g}")
 
 
 def _units(names: Sequence[str], states: Array) -> tuple[float, str]:
@@ -396,10 +325,12 @@ def search_orbit(
         given = {"free": free, "bounds": bounds, "constraints": constraints, "maximise": maximise, **stated}
         check_options("search_orbit", stated, search_orbit, _of_family)
         return _of_family(chain_or_model, starts=starts, seed=seed, progress=progress, **given)
-    problem = OrbitSearch.of(
+    problem = OrbitSearch(
         chain_or_model, guess=guess, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
     )
-    first = problem.starts(whole("starts", starts, 1), whole("seed", seed, 0))
+    own, limits = [problem.parameters[name] for name in problem.free], [problem.limits[name] for name in problem.free]
+    rows = sampled_starts(own, limits, whole("starts", starts, 1), whole("seed", seed, 0))
+    first = [Start(number, row) for number, row in enumerate(rows, start=1)]
     runner = Runner(progress, workers, executor, lost_start)
     if executor is not None or workers > 1:
         _check_pickled(problem)

@@ -30,8 +30,8 @@ def cart(**changes: Any) -> BoundaryValueProblem:
 def solved(problem: BoundaryValueProblem, **options: Any) -> Solution:
     solution = problem.solve([0.0, 0.0], **options)
     assert solution.optimum is not None
-    assert solution.optimum.optimality.kkt < 1e-9
-    assert solution.optimum.optimality.violation < 1e-10
+    assert solution.optimum.kkt < 1e-9
+    assert solution.optimum.violation < 1e-10
     return solution
 
 
@@ -57,7 +57,7 @@ def test_an_active_bound_on_a_parameter_is_named_and_exact() -> None:
     """With a = 2 the condition asks for b = 0: cost 4."""
     solution = solved(cart(bounds={"a": (0.0, 2.0)}))
     assert solution.parameters == pytest.approx({"a": 2.0, "b": 0.0}, abs=1e-8)
-    assert solution.optimum.optimality.active == ("a <= 2",)
+    assert solution.optimum.active == ("a <= 2",)
     assert solution.status == "a local optimum on the bounds a <= 2"
 
 
