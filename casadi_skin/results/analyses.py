@@ -15,7 +15,7 @@ from casadi_skin.model.arguments import with_error
 from casadi_skin.points.gradient import Gradient
 from casadi_skin.results import words
 from casadi_skin.results.figures.bands import draw_bands
-from casadi_skin.results.figures.designs import draw_path, path_of
+from casadi_skin.results.figures.designs import draw_path
 from casadi_skin.results.figures.evolutions import sizes_of
 from casadi_skin.results.figures.families import draw_series
 from casadi_skin.results.figures.multipliers import draw_moduli
@@ -190,23 +190,22 @@ def _(result: ProvedStretch) -> words.Shown:
 
 @words.show.register
 def _(result: Design) -> words.Shown:
-    rows = [
-        (result.quantity, f"{with_error(result.value, result.error)}, the {'largest' if result.maximise else 'least'}")
-    ]
+    which = "largest" if result.maximise else "least"
+    rows = [(result.quantity, f"{with_error(result.value, result.error)}, the {which}")]
     rows += [("at", words.named(result.parameters)), ("end", result.reason), ("by", result.engine)]
     held = ", ".join(f"{value:.6g} by {bound}" for bound, value in list(result.multipliers.items())[: words.MOST_NAMED])
     rows += [("derivatives", held)] if held else []
     rows += [("others", words.listed(f"{one.value:.10g}" for one in result.others))] if result.others else []
 
-    def columns() -> words.Columns:
-        return {"design": np.arange(1, len(result.path) + 1), result.quantity: result.values} | path_of(result)
-
-    return words.Shown("Design", rows, lambda axes: draw_path(axes, result), "the way to a design", columns)
+    table = {"design": np.arange(1, len(result.path) + 1), result.quantity: result.values}
+    table |= dict(zip(result.parameters, result.path.T, strict=True))
+    return words.Shown("Design", rows, lambda axes: draw_path(axes, result), "the way to a design", lambda: table)
 
 
 @words.show.register
 def _(result: ParetoFront) -> words.Shown:
     both = dict(zip(result.names, result.values.T, strict=True))
+    table = {**both, **{name: [point[name] for point in result.points] for name in result.points[0].parameters}}
     rows = [("points", f"{len(result.points)}, and {result.dominated} that others dominate")]
     rows += [(name, words.range_of(values)) for name, values in both.items()]
 
@@ -214,13 +213,7 @@ def _(result: ParetoFront) -> words.Shown:
         axes.plot(*result.values.T, "o-", ms=4)
         axes.set(xlabel=plain(result.names[0]), ylabel=plain(result.names[1]))
 
-    return words.Shown(
-        "Pareto front",
-        rows,
-        draw,
-        "a Pareto front",
-        lambda: {**both, **{n: [p[n] for p in result.points] for n in result.points[0].parameters}},
-    )
+    return words.Shown("Pareto front", rows, draw, "a Pareto front", lambda: table)
 
 
 @words.show.register

@@ -110,11 +110,8 @@ def _draw_states(axes: Axes, t: Array, values: Array, names: Sequence[str], stat
 def _(result: Equilibrium) -> words.Shown:
     values = dict(zip(result.space.state_names, result.positions.tolist(), strict=True))
     stable = "stable" if result.stable else f"unstable: {result.unstable} eigenvalues with a positive real part"
-    rows = [
-        ("state", words.named(values)),
-        *words.parameters(result.parameters),
-        ("error", f"{result.error:.1e}, relative"),
-    ]
+    rows = [("state", words.named(values)), *words.parameters(result.parameters)]
+    rows += [("error", f"{result.error:.1e}, relative"), ("stability", stable)]
 
     def columns() -> words.Columns:
         states = dict(zip(unique_names(values, ["error"]), values.values(), strict=True))
@@ -123,9 +120,7 @@ def _(result: Equilibrium) -> words.Shown:
         return {name: [value] for name, value in row.items()}
 
     title = f"Equilibrium of {words.model_words(result.model)}"
-    return words.Shown(
-        title, [*rows, ("stability", stable)], words.show(result.spectrum).draw, "an equilibrium", columns
-    )
+    return words.Shown(title, rows, words.show(result.spectrum).draw, "an equilibrium", columns)
 
 
 @words.show.register
@@ -139,9 +134,8 @@ def _(result: Branch) -> words.Shown:
     if result.with_stability and not space.stability_included:
         rows.append(("stable", f"{int(np.count_nonzero(result.stable))} of {len(result)} points"))
         if result.with_events and result.changes_known:
-            rows.append(
-                ("changes of stability", words.found([f"{c.value:.8g}" for c in result.changes], result.unresolved))
-            )
+            changes = [f"{change.value:.8g}" for change in result.changes]
+            rows.append(("changes of stability", words.found(changes, result.unresolved)))
     elif result.solutions and not space.stability_included and space.closes:
         rows.append(("stability", "not computed; stability=True in follow computes it"))
     special = result.special_points if space.locates_folds else ()
@@ -204,10 +198,8 @@ def _along(branch: Branch, name: str) -> Array:
 @words.show.register
 def _(result: Diagram) -> words.Shown:
     rows = [("branches", str(len(result))), ("points", str(sum(len(branch) for branch in result)))]
-    rows += [
-        ("special points", words.special_points(result.special_points)),
-        ("not started", words.listed(result.failures)),
-    ]
+    rows += [("special points", words.special_points(result.special_points))]
+    rows += [("not started", words.listed(result.failures))]
     first = result.branches[0]
 
     def draw(axes: Axes, x: str | None = None, y: str | None = None) -> None:
@@ -241,14 +233,8 @@ def _(result: EdgeCurve) -> words.Shown:
     def draw(axes: Axes, colour: Any = None) -> None:
         draw_edge(axes, result, ls="-" if result.kind == "real" else "--", lw=1.8, color=colour)
 
-    meaning = "the edge of a tongue of instability"
-    return words.Shown(
-        f"Edge of a tongue of {words.model_words(result.points[0].orbit.model)}",
-        rows,
-        draw,
-        meaning,
-        lambda: edge_columns(result),
-    )
+    title = f"Edge of a tongue of {words.model_words(result.points[0].orbit.model)}"
+    return words.Shown(title, rows, draw, "the edge of a tongue of instability", lambda: edge_columns(result))
 
 
 # Multipliers and eigenvalues ------------------------------------------------------------------------------------------
@@ -269,9 +255,8 @@ def _(result: Floquet) -> words.Shown:
         outside = np.append(np.zeros(result.trivial, dtype=bool), result.outside)
         return _plane("multiplier", result.multipliers, trivial=is_trivial, outside=outside)
 
-    return words.Shown(
-        "Floquet multipliers", rows, lambda axes: draw_plane(axes, result), "Floquet multipliers", columns
-    )
+    title = "Floquet multipliers"
+    return words.Shown(title, rows, lambda axes: draw_plane(axes, result), title, columns)
 
 
 def _stability(floquet: Floquet) -> str:

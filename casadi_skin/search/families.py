@@ -37,15 +37,8 @@ from casadi_skin.zero.problem import Array, Buffers, Solve
 HARMONICS_OFFERED = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
 SMALLEST_S = 1e-6  # where no lower bound is given
 STEEPEST_GAMMA = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
-RESERVED_NAMES = (
-    "y0",
-    "slope",
-    "value",
-    "names",
-    "symbols",
-    "has_slopes",
-    "equations",
-)  # attributes that are no quantities
+# Attributes that are no quantities.
+RESERVED_NAMES = ("y0", "slope", "value", "names", "symbols", "has_slopes", "equations")
 NEWTON_SHRINK = 0.5  # of a step, to the next: a design that needs more is too far from the last one
 LARGEST_MOVE = 0.5  # of q and Omega, relative, from one design to the next: beyond it may be another family
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -21,6 +20,7 @@ from casadi_skin.model.arguments import accepted_names, check_options, number_wi
 from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression, real_array
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import in_turn
 from casadi_skin.search.boundary_nlp import BoundaryNlp, refined
 from casadi_skin.search.conditions import checked_bounds, checked_conditions, free_names, sampled_starts
@@ -105,6 +105,12 @@ class OrbitSearch:
             accepted = f"units in which states differ by at most {MOST_UNIT_RATIO:g}"
             raise ValueError(f"guess: given {units}; accepted: {accepted}")
         self.hint = f"; units are uneven, {units}: try others" if ratio > UNEVEN_UNIT_RATIO else ""
+
+    def check_programs(self) -> None:
+        """Raises ValueError for quantities that other processes cannot have; those of models raise it themselves."""
+        every = self.objective, self.running, *self.selecting.values(), *(c.quantity for c in self.conditions)
+        for program in (name for each in every if each is not None for name in programs_in(each)):
+            raise ValueError(f"workers: given with the program {program}; accepted: 1, as it stays in this process")
 
     @property
     def _part(self) -> float:
@@ -332,8 +338,8 @@ def search_orbit(
     rows = sampled_starts(own, limits, whole("starts", starts, 1), whole("seed", seed, 0))
     first = [Start(number, row) for number, row in enumerate(rows, start=1)]
     runner = Runner(progress, workers, executor, lost_start)
-    if executor is not None or workers > 1:
-        _check_pickled(problem)
+    if workers > 1 or executor is not None:
+        problem.check_programs()
     with runner.listening():
         outcomes = sorted(runner.run(partial(solve_start, problem), first), key=lambda outcome: outcome.start.number)
         outcomes = outcomes or [lost_start(first[0], "before it began")]
@@ -342,16 +348,6 @@ def search_orbit(
             ends |= dict.fromkeys((one.start.number for one in group), problem.polished(group[0]))
     gone = f"interrupted after {len(outcomes)} of {len(first)} starts" if runner.interrupted else ""
     return best_of([ends[number] for number in sorted(ends)], gone)
-
-
-def _check_pickled(problem: OrbitSearch) -> None:
-    """Raises TypeError for a search that cannot be sent to another process."""
-    try:
-        pickle.dumps(problem)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        accepted = "names, or functions at the top of a module, where starts run in other processes"
-        words = f"cannot be sent to a process ({' '.join(str(error).split())[:120]})"
-        raise TypeError(f"objective and constraints: {words}; accepted: {accepted}") from None
 
 
 def _of_family(

@@ -177,6 +177,26 @@ def test_what_searches_are_not_for_is_named() -> None:
         search(executor=threads)
 
 
+class Square(ca.Callback):  # type: ignore[misc]
+    """A program, which no other process can have."""
+
+    def __init__(self) -> None:
+        ca.Callback.__init__(self)
+        self.construct("square", {"enable_fd": True})
+
+    def eval(self, arguments: Any) -> Any:
+        return [arguments[0] ** 2]
+
+
+def test_a_program_of_the_caller_stays_in_its_process() -> None:
+    state, square = ca.MX.sym("state", 2), Square()
+    model = OdeModel("oscillator", state, ca.vertcat(state[1], -state[0]), a := ca.MX.sym("a"), nominal=(0.1,))
+    stated: dict[str, Any] = {"guess": [1.0, 0.0], "period": 6.3, "free": ["a"], "workers": 2}
+    for objective in ({"objective": square(state[0])}, {"objective": a, "constraints": [square(state[0])]}):
+        with pytest.raises(ValueError, match="workers: given with the program square; accepted: 1"):
+            search_orbit(model, **objective, **stated)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -37,10 +37,7 @@ STABILITY_LOOKS: dict[bool | None, dict[str, Any]] = {
 LINE_WIDTHS = {False: 1.5, True: 2.8}  # of lines of equilibria, and of cycles
 CLOSE_MARK_DISTANCE = 0.008  # of the width of a picture: marks that are closer overlap
 ROUNDING_CHANGE = 1e-6  # of a quantity: a change that is no course of a curve
-FEWEST_SMOOTH_POINTS, POINTS_BETWEEN = (
-    4,
-    12,
-)  # points through which a curve is drawn smooth, and points drawn between two of them
+FEWEST_SMOOTH_POINTS, POINTS_BETWEEN = 4, 12  # through which a curve is drawn smooth, and drawn between two of them
 STRIP_HEIGHT = 0.025  # of the height of a picture: a strip along its lower edge
 Pieces = Sequence[tuple[bool | None, Array]]
 

@@ -50,8 +50,3 @@ def draw_path(axes: Axes, result: Design) -> None:
     axes.plot(x[-1:], y[-1:], "o", color="tab:red", mfc="none", ms=9, label="optimum" if result.found else "end")
     axes.set_xlabel(plain(names[0]))
     axes.set_ylabel(plain(names[1] if len(names) > 1 else result.quantity))
-
-
-def path_of(result: Design) -> dict[str, Array]:
-    """The designs on the way by parameter."""
-    return dict(zip(result.parameters, result.path.T, strict=True))

@@ -304,7 +304,5 @@ def _in_plane(orbit: Orbit, t: Array) -> tuple[Array, tuple[str, str]]:
     if plane is not None:
         return plane
     x = orbit.evaluate(t)
-    return np.column_stack([np.mod(t, orbit.period) / orbit.period, x]), (
-        "$t/T$",
-        style.plain(orbit.space.state_names[0]),
-    )
+    names = "$t/T$", style.plain(orbit.space.state_names[0])
+    return np.column_stack([np.mod(t, orbit.period) / orbit.period, x]), names
