@@ -12,14 +12,17 @@ from types import MappingProxyType
 
 from casadi_skin._version import __version__
 from casadi_skin.export.codegen import (
+    EXPORT_TEMPLATES,
     LIBM_HEADERS,
     MOST_ENTRIES,
     Part,
     c_source,
     check_parts,
     comment,
+    pieces,
     plain,
     prototype,
+    with_words,
 )
 from casadi_skin.export.exported_model import (
     EXPORTED_PARTS,
@@ -55,140 +58,28 @@ CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone comput
 
 def main_text(exported: ExportedModel, parts: Collection[str]) -> str:
     """The text of main.c; `@p` and `@P` stand for the prefixes."""
-    statics: list[str] = []
+    piece, statics = pieces(EXPORT_TEMPLATES, "main.c"), list[str]()
     if exported.chain is None:
-        blocks = [MODEL_ORBIT] if "orbit" in parts else []
+        blocks = [piece["orbit of a model"]] if "orbit" in parts else []
         if "flow" in parts:
             velocities = "start + @P_ORBIT_STATES" if exported.model.order == 2 else "0"
-            blocks.append(MAIN_RETURN_TEXT.replace("@velocities", velocities) if "orbit" in parts else MAIN_FLOW_TEXT)
+            blocks.append(piece["return" if "orbit" in parts else "flow"].replace("@velocities", velocities))
     else:
-        blocks = [MAIN_ORBIT_TEXT] if "orbit" in parts else []
+        blocks = [piece["orbit of a chain"]] if "orbit" in parts else []
         if "newton" in parts:
             mode = int(exported.chain.sites) if exported.chain.g > 0 else 1  # the one that turns into an end breather
-            from_mode = FROM_LINEAR_MODE.replace("@mode", str(mode)).replace("@S", f"{CHAIN_S:g}")
-            blocks.append(FROM_ORBIT if "orbit" in parts else from_mode)
-            statics.append(NEWTON_STATICS)
+            from_mode = with_words(piece["newton from a linear mode"], mode=mode, S=f"{CHAIN_S:g}")
+            blocks.append(piece["newton from the orbit"] if "orbit" in parts else from_mode)
+            statics.append(piece["newton arrays"])
         if blocks and "flow" in parts:  # there is an orbit to follow the flow along
-            blocks.append(MAIN_MULTIPLIERS_TEXT.replace("@start", FROM_NEWTON if "newton" in parts else FROM_DATA))
-            statics.append(FLOW_STATICS)
-    blocks = blocks or ([MAIN_RHS_TEXT] if "rhs" in parts else ['    printf("states %d\\n", @P_STATES);\n'])
-    body = "\n".join(blocks).replace("@nominal", NOMINAL_VALUES_TEXT if exported.parameters else "")
-    for name, number in (("@steps", SPLITTING_STEPS), ("@harmonic_steps", STEPS_A_HARMONIC)):
-        body = body.replace(name, str(number))
-    blank = BLANK_LINE if statics else ""
-    return f"{MAIN_HEAD_TEXT}{''.join(statics)}{blank}int main(void)\n{{\n{body}    return 0;\n}}\n"
-
-
-BLANK_LINE = "\n"
-MAIN_HEAD_TEXT = """/* What this export computes, with all digits; see README.md for the numbers to expect. */
-
-#include <math.h>
-#include <stdio.h>
-
-#include "@p.h"
-
-"""
-NEWTON_STATICS = "static double z[@P_UNKNOWNS], newton_work[@P_NEWTON_WORK];\n"
-FLOW_STATICS = """static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], flow_work[@P_FLOW_WORK];
-static double mu_real[@P_SITES], mu_imaginary[@P_SITES], multipliers_work[@P_MULTIPLIERS_WORK];
-"""
-MAIN_ORBIT_TEXT = """    {
-        static double y[@P_SITES], velocity[@P_SITES];
-        double S = 0.0;
-        int n;
-
-        @p_orbit(@p_orbit_period, y, velocity);
-        for (n = 0; n < @P_SITES; n++) S += y[n] * y[n];
-        printf("orbit_period %.17g\\norbit_S %.17g\\n", @p_orbit_period, S);
-    }
-"""
-FROM_ORBIT = """    @p_newton_report report;
-    int i;
-
-    /* The orbit, wrong by a thousandth, put right by Newton's method at its kappa. */
-    for (i = 0; i < @P_UNKNOWNS; i++) z[i] = @p_orbit_z[i] * (1.0 + 1e-3 * sin(i + 1.0));
-    if (@p_newton(z, @P_PARAMETER, @p_orbit_kappa, 1e-13, 20, &report, newton_work)) {
-        fprintf(stderr, "newton: %s\\n", @p_newton_words(report.status));
-        return 1;
-    }
-    printf("period %.17g\\niterations %d\\n", 2.0 * acos(-1.0) / z[@P_OMEGA], report.iterations);
-"""
-FROM_LINEAR_MODE = """    @p_newton_report report;
-    int k, failed = @p_linear_mode(@mode, z);
-
-    if (failed) fprintf(stderr, "linear mode @mode does not oscillate\\n");
-
-    /* From the linear mode to S = @S in steps of S. */
-    for (k = 1; k <= 4 && !failed; k++) {
-        failed = @p_newton(z, @P_PARAMETER, @p_g * @S * k / 4, 1e-13, 20, &report, newton_work);
-        if (failed) fprintf(stderr, "newton: %s\\n", @p_newton_words(report.status));
-    }
-    if (failed) return 1;
-    printf("period %.17g\\n", 2.0 * acos(-1.0) / z[@P_OMEGA]);
-"""
-FROM_NEWTON = """
-        @p_positions(z, x); /* at rest at t = 0: the velocities are zeros */
-        quarter = 0.5 * acos(-1.0) / z[@P_OMEGA];
-        kappa = z[@P_PARAMETER];"""
-FROM_DATA = """        int n;
-
-        @p_orbit(0.0, x, 0); /* at rest at t = 0: the velocities are zeros */
-        for (n = 0; n < @P_SITES; n++) x[n] /= sqrt(@p_orbit_S) * @p_rho[n];
-        quarter = 0.25 * @p_orbit_period;
-        kappa = @p_orbit_kappa;"""
-MAIN_MULTIPLIERS_TEXT = """    {
-        double largest, trivial, quarter, kappa;
-@start
-        @p_flow(0.0, quarter, @steps, x, Phi, &kappa, flow_work);
-        if (@p_multipliers(Phi, 1e-10, mu_real, mu_imaginary, &largest, &trivial, multipliers_work)) {
-            fprintf(stderr, "multipliers: the QR iteration did not converge\\n");
-            return 1;
-        }
-        printf("largest_multiplier %.17g\\ntrivial_deviation %.3g\\n", largest, trivial);
-    }
-"""
-MODEL_ORBIT = """    printf("orbit_period %.17g\\n", @p_orbit_period);
-"""
-MAIN_RETURN_TEXT = """    {
-        static double x[@P_STATES], start[@P_STATES], Phi[@P_STATES * @P_STATES], work[@P_FLOW_WORK];
-        double p[@P_PARAMETERS + 1] = {0.0}, trace = 0.0, off = 0.0;
-        int i;
-
-@nominal        @p_orbit(0.0, start, @velocities);
-        for (i = 0; i < @P_STATES; i++) x[i] = start[i];
-        @p_flow(0.0, @p_orbit_period, @harmonic_steps * (@P_HARMONICS + 8), x, Phi, p, work);
-        for (i = 0; i < @P_STATES; i++) {
-            off = fmax(off, fabs(x[i] - start[i]));
-            trace += Phi[i * (@P_STATES + 1)];
-        }
-        printf("return_error %.3g\\ntrace %.17g\\n", off, trace);
-    }
-"""
-MAIN_FLOW_TEXT = """    {
-        static double x[@P_FLOW_STATES], Phi[@P_FLOW_STATES * @P_FLOW_STATES], work[@P_FLOW_WORK];
-        double p[@P_FLOW_PARAMETERS + 1] = {0.0}, trace = 0.0;
-        int i;
-
-@nominal        for (i = 0; i < @P_FLOW_STATES; i++) x[i] = 0.1 / (i + 1);
-        @p_flow(0.0, 1.0, 100, x, Phi, p, work);
-        for (i = 0; i < @P_FLOW_STATES; i++) {
-            trace += Phi[i * (@P_FLOW_STATES + 1)];
-            printf("%s %.17g\\n", @p_state_names[i], x[i]);
-        }
-        printf("trace %.17g\\n", trace);
-    }
-"""
-MAIN_RHS_TEXT = """    {
-        static double x[@P_STATES], dxdt[@P_STATES], work[@P_RHS_WORK];
-        double p[@P_PARAMETERS + 1] = {0.0};
-        int i;
-
-@nominal        for (i = 0; i < @P_STATES; i++) x[i] = 0.1 / (i + 1);
-        @p_rhs(0.0, x, p, dxdt, work);
-        for (i = 0; i < @P_STATES; i++) printf("%s %.17g\\n", @p_state_names[i], dxdt[i]);
-    }
-"""
-NOMINAL_VALUES_TEXT = "        for (i = 0; i < @P_PARAMETERS; i++) p[i] = @p_nominal[i];\n"
+            start = piece["start from newton" if "newton" in parts else "start from the orbit"]
+            blocks.append(with_words(piece["multipliers"], start=start))
+            statics.append(piece["flow arrays"])
+    blocks = blocks or ([piece["right-hand side"]] if "rhs" in parts else ['    printf("states %d\\n", @P_STATES);\n'])
+    nominal = piece["nominal values"] if exported.parameters else ""
+    body = with_words("\n".join(blocks), nominal=nominal, steps=SPLITTING_STEPS, harmonic_steps=STEPS_A_HARMONIC)
+    blank = "\n" if statics else ""
+    return f"{piece['head']}{''.join(statics)}{blank}int main(void)\n{{\n{body}    return 0;\n}}\n"
 
 
 # README.md and CMakeLists.txt of an export ----------------------------------------------------------------------------
@@ -196,75 +87,26 @@ NOMINAL_VALUES_TEXT = "        for (i = 0; i < @P_PARAMETERS; i++) p[i] = @p_nom
 COMPILER_FLAGS = "-std=c99 -O2"
 
 
-def cmake_text(name: str, sources: Collection[str]) -> str:
+def cmake_text(sources: Collection[str]) -> str:
     """A static library of all that needs libm only, the example program, and Ipopt's part on request."""
+    piece, ipopt = pieces(EXPORT_TEMPLATES, "CMakeLists.txt"), [file for file in sources if "_ipopt" in file]
     library = "\n".join(f"  {file}" for file in sources if file != "main.c" and "_ipopt" not in file)
-    ipopt = [file for file in sources if "_ipopt" in file]
-    text = f"""cmake_minimum_required(VERSION 3.10)
-project({name}_export C)
-set(CMAKE_C_STANDARD 99)
-set(CMAKE_C_STANDARD_REQUIRED ON)
-set(CMAKE_C_EXTENSIONS OFF)
-if(NOT CMAKE_BUILD_TYPE)
-  set(CMAKE_BUILD_TYPE Release)
-endif()
-
-add_library({name}_c STATIC
-{library})
-target_include_directories({name}_c PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-if(NOT MSVC)
-  target_link_libraries({name}_c PUBLIC m)
-endif()
-
-add_executable({name}_main main.c)
-target_link_libraries({name}_main {name}_c)
-"""
-    if ipopt:
-        text += f"""
-option(WITH_IPOPT "Build the part that needs libipopt" OFF)
-if(WITH_IPOPT)
-  add_library({name}_with_ipopt STATIC {" ".join(ipopt)})
-  target_link_libraries({name}_with_ipopt {name}_c ipopt)
-endif()
-"""
-    return text
+    text = with_words(piece["library and program"], library=library)
+    return text + with_words(piece["ipopt"], ipopt=" ".join(ipopt)) if ipopt else text
 
 
 def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Collection[str]) -> str:
     """Contents of the directory, how to build it, and the expected numbers."""
-    name = exported.name
-    plain_sources = " ".join(file for file in sources if "_ipopt" not in file)
-    rows = "\n".join(f"| `{what}` | {EXPORTED_PARTS[what]} |" for what in parts if what in EXPORTED_PARTS)
-    text = f"""# {plain(exported.model.name)} in C
-
-Written by casadi_skin {__version__} (license.txt). It is C99 and
-needs nothing but libm{" (Ipopt's part needs libipopt)" if "ipopt" in parts else ""}.
-The model is dimensionless. `{name}.h` declares every function and gives sizes and orders; `main.c` is an example.
-
-| part | what it is |
-| --- | --- |
-{rows}
-
-## Build
-
-```sh
-cc {COMPILER_FLAGS} {plain_sources} -lm -o {name}_main
-./{name}_main
-```
-
-or, with CMake, `cmake -S . -B build && cmake --build build && ./build/{name}_main`.
-Without warnings by gcc 12 and clang 14 with `-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wdouble-promotion
--Wstrict-prototypes -Wno-unused-parameter`; no complex numbers of C, which some compilers lack.
-"""
+    name, piece = exported.name, pieces(EXPORT_TEMPLATES, "README.md")
+    text = with_words(
+        piece["contents and build"], title=plain(exported.model.name), version=__version__, flags=COMPILER_FLAGS,
+        ipopt=" (Ipopt's part needs libipopt)" if "ipopt" in parts else "",
+        rows="\n".join(f"| `{what}` | {EXPORTED_PARTS[what]} |" for what in parts if what in EXPORTED_PARTS),
+        sources=" ".join(file for file in sources if "_ipopt" not in file),
+    )  # fmt: skip
     if "ipopt" in parts:
-        needed = " ".join(file for file in sources if file in (f"{name}.c", f"{name}_generated.c") or "_ipopt" in file)
-        text += f"""
-Ipopt's part needs Ipopt's headers (`coin-or/IpStdCInterface.h`) and library:
-
-```sh
-cc {COMPILER_FLAGS} YOUR_PROGRAM.c {needed} -lipopt -lm
-```
-"""
+        needed = [file for file in sources if file in (f"{name}.c", f"{name}_generated.c") or "_ipopt" in file]
+        text += with_words(piece["ipopt"], flags=COMPILER_FLAGS, needed=" ".join(needed))
     return text + _expected(exported, parts)
 
 
@@ -343,12 +185,12 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
     name, every = exported.name, list(parts.values())
     plainly = [part for what, part in parts.items() if what != "ipopt"]
     generated = [function for part in plainly for function in part.functions]
-    templates = [stem for part in every for stem in part.files]
+    templates = [f"{stem}.c" for part in every for stem in part.files]
     texts = {
         f"{name}.h": _header(exported, every),
         f"{name}.c": _definitions(plainly),
         **({f"{name}_generated.c": c_source(f"{name}_generated", generated)} if generated else {}),
-        **{f"{name}_{stem}.c": _template(stem) for stem in templates},
+        **{f"{name}_{file}": (EXPORT_TEMPLATES / file).read_text(encoding="utf-8") for file in templates},
         "main.c": main_text(exported, chosen),
     }
     if "ipopt" in parts:
@@ -357,7 +199,7 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
         texts |= {f"{name}_ipopt.c": _definitions([parts["ipopt"]]), f"{own}.c": text}
     sources = [file for file in texts if file.endswith(".c")]
     texts |= {
-        "CMakeLists.txt": cmake_text(name, sources),
+        "CMakeLists.txt": cmake_text(sources),
         "README.md": readme_text(exported, parts, sources),
         "license.txt": files("casadi_skin.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8"),
     }
@@ -396,10 +238,6 @@ def _definitions(parts: list[Part]) -> str:
     about = comment("Tables, and plain functions around the generated ones.")
     texts = [definition for part in parts for definition in part.definitions]
     return "\n\n".join([f'{about}\n\n#include "@p.h"', "#include <math.h>", *prototypes, *texts]) + "\n"
-
-
-def _template(stem: str) -> str:
-    return files("casadi_skin.export").joinpath("c", f"{stem}.c").read_text(encoding="utf-8")
 
 
 # The directory --------------------------------------------------------------------------------------------------------

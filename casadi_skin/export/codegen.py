@@ -20,6 +20,8 @@ import signal
 import subprocess
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from textwrap import wrap
 
@@ -146,6 +148,22 @@ def _parts(name: str, body: list[str]) -> str:
         "}",
     ]
     return "\n".join(lines)
+
+
+# Texts of exports in files: whole files, and pieces of one -----------------------------------------------------------
+
+EXPORT_TEMPLATES = files("casadi_skin.export") / "c"
+
+
+def pieces(folder: Traversable, name: str) -> dict[str, str]:
+    """The pieces of a file by their names: each begins below a line `@@ name`."""
+    _, *found = re.split(r"^@@ (.+)\n", (folder / name).read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return dict(zip(found[::2], found[1::2], strict=True))
+
+
+def with_words(text: str, **words: object) -> str:
+    """A text with words in the place of `@name` each; other names stay as they are."""
+    return re.sub(r"@(\w+)", lambda found: str(words.get(found[1], found[0])), text)
 
 
 # Pieces of C text: arrays, strings, comments, plain functions around generated ones, and the parts of an export -------

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.export.codegen import (
+    EXPORT_TEMPLATES,
     Call,
     Part,
     Size,
@@ -15,6 +16,7 @@ from casadi_skin.export.codegen import (
     declared,
     doubles,
     pattern,
+    pieces,
     plain,
 )
 from casadi_skin.export.exported_model import ExportedModel
@@ -27,20 +29,6 @@ from casadi_skin.zero.problem import Array
 
 IPOPT_HEADER = "coin-or/IpStdCInterface.h"
 MOST_SAMPLES = 8192  # of an orbit of a model, over its period
-REPORT_TYPE_TEXT = """typedef struct {
-    int status;      /* one of the constants below */
-    int iterations;  /* linear systems solved */
-    double step;     /* length of the last step, relative to the orbit */
-    double residual; /* largest |R| before that step */
-} @p_newton_report;
-enum { @P_CONVERGED, @P_TOO_MANY_ITERATIONS, @P_SINGULAR, @P_DIVERGED, @P_BAD_INPUT };"""
-POSITIONS_FUNCTION_TEXT = """void @p_positions(const double *z, double *q)
-{
-    int n, i;
-
-    for (n = 0; n < @P_SITES; n++)
-        for (q[n] = 0.0, i = 0; i < @P_NODES; i++) q[n] += at_zero[i] * z[n * @P_NODES + i];
-}"""
 
 
 def residual_part(exported: ExportedModel) -> Part:
@@ -78,7 +66,8 @@ def residual_part(exported: ExportedModel) -> Part:
     )
     at_zero = (2.0 / problem.resolution) * cosine_matrix(problem.resolution).sum(axis=0)
     part = part.plus(*pattern("@p_residual", sparsity), files=("linear_mode",)).plus(declaration=mode)
-    return part.plus(f"static {doubles('at_zero', at_zero)}\n\n{POSITIONS_FUNCTION_TEXT}", positions)
+    text = pieces(EXPORT_TEMPLATES, "orbit_equations.c")["positions"].rstrip()
+    return part.plus(f"static {doubles('at_zero', at_zero)}\n\n{text}", positions)
 
 
 def newton_part(exported: ExportedModel) -> Part:
@@ -103,7 +92,8 @@ def newton_part(exported: ExportedModel) -> Part:
         "Used by Newton's method.",
     )
     words = declared("const char *@p_newton_words(int status)", "A status in words.")
-    declarations = (REPORT_TYPE_TEXT, newton, words, solver)
+    report = pieces(EXPORT_TEMPLATES, "orbit_equations.c")["report of Newton's method"].rstrip()
+    declarations = (report, newton, words, solver)
     return Part("Periodic orbits: Newton's method", sizes, declarations, files=("newton", "solve_band"))
 
 

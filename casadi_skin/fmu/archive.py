@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin._version import __version__
-from casadi_skin.export.codegen import build_library
+from casadi_skin.export.codegen import build_library, pieces, with_words
 from casadi_skin.export.exported_model import Source
 from casadi_skin.fmu.description import library_name
 from casadi_skin.fmu.initial_value_problem import (
@@ -43,6 +43,7 @@ from casadi_skin.model.result import in_turn
 
 # The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml -------
 
+SOURCES = resources.files("casadi_skin.fmu") / "sources"
 INTERFACE_SOURCES = {
     "2.0": ("fmi2.c",),
     "3.0": ("fmi3.c",),
@@ -232,58 +233,18 @@ def terminals_and_icons() -> bytes:
 
 # The documentation page and the icon inside an FMU --------------------------------------------------------------------
 
-_PAGE_STYLE = "body{font-family:sans-serif;max-width:50em;margin:2em auto}td,th{text-align:left;padding:0 1em 0 0}"
-
-_ENERGY_TEXT = """<p>The output <code>energy</code> is the Hamiltonian in the gauge y<sub>n</sub> = rho<sub>n</sub>
-eta<sub>n</sub> with rho = 1 at the edge that the modes lean to (the last site for gamma &ge; 0, the first one below).
-The equations keep it; a solver in y does so up to its errors at the far end, which enter weighted by
-1/rho<sub>n</sub><sup>2</sup>. It is infinite at |gamma| = 1.</p>
-"""
-
 
 def page(description: Description, fmi: str) -> str:
     """documentation/index.html: the model, its variables, its origin and how it is compiled elsewhere."""
-    problem = description.problem
-    name = escape(problem.model.name)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head><meta charset="utf-8"><title>{name}</title><style>{_PAGE_STYLE}</style></head>
-<body>
-<h1>{name}</h1>
-<p>{escape(problem.description)}. All quantities are dimensionless. Written by casadi_skin {__version__}.</p>
-{_chain_words(description)}
-<h2>Variables</h2>
-<table>
-<tr><th>Name</th><th>Causality</th><th>Start</th><th>Meaning</th></tr>
-{"".join(map(_row, description.variables))}</table>
-<h2>Interfaces</h2>
-<p>Model Exchange without events, and Co-Simulation with its own solver: the Runge-Kutta method of order 8(5,3) of
-Dormand and Prince (Hairer, N&oslash;rsett and Wanner, Solving Ordinary Differential Equations I, Sec. II.5). The
-tolerance of the experiment, {problem.tolerance!r} where none is given, bounds the error of one step relative to a
-state's size, or to its nominal value where that is larger. Directional derivatives (in FMI 3.0 adjoint ones as well)
-are exact; the time, states and parameters are accepted as knowns. Parameters are tunable: in Event Mode, and between
-communication steps. A value that is not finite is answered by the status Discard, as is a communication step in which
-the solution runs to infinity; the instance is then as before the call.</p>
-<h2>Another platform</h2>
-<p>The directory <code>sources</code> has all that is compiled but the header files of the standard: C99, no library
-but that
-of mathematical functions. For example, with those headers in <code>fmi</code>:</p>
-<pre>cc -std=c99 -O2 -fPIC -shared -fvisibility=hidden -Ifmi {" ".join(description.source_files(fmi))} -lm \\
-  -o {problem.identifier}.so</pre>
-</body>
-</html>
-"""
-
-
-def _chain_words(description: Description) -> str:
-    if "energy" not in description.problem.meanings:
-        return ""
-    energy = _ENERGY_TEXT if "energy" in description.problem.model.outputs else ""
-    return f"""<p>y<sub>n</sub>'' = (1 + gamma) y<sub>n-1</sub> - 2 y<sub>n</sub> + (1 - gamma) y<sub>n+1</sub>
-- alpha y<sub>n</sub> - g y<sub>n</sub><sup>3</sup>, n = 1..N, with y<sub>0</sub> = y<sub>N+1</sub> = 0
-(B. Many Manda, arXiv:2512.17483, Eq. 1).</p>
-{energy}<p><code>S</code> is the sum of the squared displacements at each time; where all velocities vanish it is the
-amplitude of the orbit.</p>"""
+    problem, piece = description.problem, pieces(SOURCES, "index.html")
+    energy = piece["energy"] if "energy" in problem.model.outputs else ""
+    chain = with_words(piece["chain"], energy=energy).rstrip() if "energy" in problem.meanings else ""
+    return with_words(
+        piece["page"], tolerance=repr(problem.tolerance), version=__version__, chain=chain,
+        files=" ".join(description.source_files(fmi)), identifier=problem.identifier,
+        rows="".join(map(_row, description.variables)), description=escape(problem.description),
+        name=escape(problem.model.name),
+    )  # fmt: skip
 
 
 def _row(variable: Variable) -> str:
@@ -404,7 +365,7 @@ def contents(problem: InitialValueProblem, fmi: Fmi) -> dict[str, bytes]:
 
 
 def _packaged(name: str) -> bytes:
-    return resources.files("casadi_skin.fmu").joinpath("sources", name).read_bytes()
+    return (SOURCES / name).read_bytes()
 
 
 def _compiled(problem: InitialValueProblem, fmi: Fmi, files: dict[str, bytes]) -> dict[str, bytes]:
