@@ -30,14 +30,13 @@ from casadi_skin.runs.output import Lines
 from casadi_skin.runs.parts import mode_of, origin, picture
 from casadi_skin.runs.request import Request
 from casadi_skin.runs.scene import DesignTable, DynamicsTable, ExportTable, Scene
+from casadi_skin.search.design import ENGINE, Design
 
 if TYPE_CHECKING:
     from casadi_skin.dynamics import Evolution
     from casadi_skin.dynamics.starts import Spreading
     from casadi_skin.follow.special_points import SpecialPoint
-    from casadi_skin.search.design import Design
 
-ENGINE = "SLSQP on gradients of located solutions"  # the same as in search.design, which loads scipy
 PER_PERIOD, FEWEST_TIMES, MOST_TIMES = 20, 401, 4001  # times that are written unless a number of them is given
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -162,20 +162,9 @@ def optimum_words(multipliers: Mapping[str, float]) -> str:
 # The best of several starts -------------------------------------------------------------------------------------------
 
 
-class End(Protocol):
-    """Where a start ended: a design, or a point of a programme that makes one."""
-
-    @property
-    def found(self) -> bool: ...
-    def is_near(self, other: Self) -> bool: ...
-
-
-AnyEnd = TypeVar("AnyEnd", bound=End)
-
-
-def grouped(ends: Sequence[AnyEnd]) -> list[list[AnyEnd]]:
-    """The ends that found an optimum, those of one optimum together."""
-    groups = list[list[AnyEnd]]()
+def grouped(ends: Sequence[Any]) -> list[list[Any]]:
+    """The ends of starts, designs or points of programmes, that found an optimum; those of one optimum together."""
+    groups = list[list[Any]]()
     for end in ends:
         if end.found:
             same = next((group for group in groups if group[0].is_near(end)), None)

@@ -368,8 +368,8 @@ class Outcome:
     Attributes:
         start: the start.
         ending: how it ended, and `words` why: by Ipopt, by the conditions of optimality, or by what is not there.
-        solution: where Ipopt ended; None where there was no orbit to start from.
         path: the free numbers of the start and of the solution, shape (2, free), and `values` the objectives there.
+        solution: where Ipopt ended; None where there was no orbit to start from.
         place: the free numbers with frequencies, scaled: optima at a distance below 1e-4 are one.
         times: of the states in the solution of a boundary-value problem; empty for kicks.
         violation: the largest violation of a constraint relative to its terms, and `gap` that in its own units.
@@ -378,9 +378,9 @@ class Outcome:
     start: Start
     ending: Ending
     words: str
+    path: Array
+    values: Array
     solution: Solution | None = None
-    path: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    values: Array = field(default_factory=lambda: np.zeros(0))
     place: Array = field(default_factory=lambda: np.zeros(0))
     times: Array = field(default_factory=lambda: np.zeros(0))
     violation: float = np.inf
@@ -417,9 +417,9 @@ class Startable(Protocol):
         """
 
 
-def lost_start(start: Start, words: str) -> Outcome:
-    """Outcome of a start whose processes were ended, in words; it may be run again."""
-    return Outcome(start, Ending.INTERRUPTED, words)
+def lost_start(start: Start, words: str, ending: Ending = Ending.INTERRUPTED) -> Outcome:
+    """Outcome of a start that was not solved, as one whose processes were ended, in words; it may be run again."""
+    return Outcome(start, ending, words, np.array([start.free]), np.full(1, np.nan))
 
 
 def solve_start(problem: Startable, start: Start, monitor: Monitor | None = None) -> Outcome:
@@ -427,7 +427,7 @@ def solve_start(problem: Startable, start: Start, monitor: Monitor | None = None
     try:
         nlp, x = problem.nlp_at(start)
     except ArithmeticError as error:
-        return Outcome(start, Ending.NOT_LOCATED, " ".join(str(error).split()))
+        return lost_start(start, " ".join(str(error).split()), Ending.NOT_LOCATED)
     return judged(nlp, start, x, nlp.solve(x, monitor))
 
 
@@ -436,7 +436,7 @@ def judged(nlp: Nlp, start: Start, first: Array, solution: Solution) -> Outcome:
     ending, words, x = SEARCH_ENDINGS.get(solution.words, Ending.FAILED), nlp_reason(solution.words), solution.x
     path, values = np.array([first, x])[:, nlp.measured], np.array([nlp.objective(first), solution.objective])
     if not np.all(np.isfinite(x)):
-        return Outcome(start, ending, words, solution, path, values)
+        return Outcome(start, ending, words, path, values, solution)
     gaps, found = nlp.violations(nlp.residual(x)), optimality(nlp, solution)
     worst = int(np.argmax(gaps))
     if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt, found.violation, gaps[worst]) <= CONVERGED:
@@ -445,4 +445,4 @@ def judged(nlp: Nlp, start: Start, first: Array, solution: Solution) -> Outcome:
     elif ending is Ending.INFEASIBLE:
         words = f"{nlp.row_name(worst, x)} is off by {gaps[worst]:.3g}"
     place, times = nlp.place_of(x), nlp.times(x)
-    return Outcome(start, ending, words, solution, path, values, place, times, found.violation, float(gaps[worst]))
+    return Outcome(start, ending, words, path, values, solution, place, times, found.violation, float(gaps[worst]))

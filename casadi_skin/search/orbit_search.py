@@ -168,9 +168,7 @@ class OrbitSearch:
 
     def design(self, outcome: Outcome) -> Design:
         """The design of a start that led to no optimum."""
-        status, words = outcome.ending, outcome.words
-        path = outcome.path if len(outcome.path) else np.array([outcome.start.free])
-        values = outcome.values if len(outcome.path) else np.full(1, np.nan)
+        status, words, path, values = outcome.ending, outcome.words, outcome.path, outcome.values
         if status is Ending.UNBOUNDED:
             k = int(np.argmax(np.abs(path[-1])))  # the free number that ran off the farthest
             words = f"{self.free[k]} = {path[-1][k]:.3g}, {self.quantity} = {values[-1]:.3g}"
@@ -312,8 +310,8 @@ def search_orbit(
             `intervals` may be given as well, as in `find_orbit`.
         starts: number of starts: the own parameters first, then a Halton sequence within the bounds.
         seed: of that sequence.
-        workers, executor: near a guess, processes that share the starts. Functions then have to be at the top of a
-            module.
+        workers, executor: near a guess, processes that share the starts. Models and quantities that are programs stay
+            in this one.
         progress: called with a `SearchProgress` at iterations and at the end of every start; of a family with words.
 
     Returns:

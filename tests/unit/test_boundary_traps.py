@@ -159,7 +159,7 @@ def test_optima_at_one_place_with_other_values_are_two() -> None:
     """Two orbits of a forced model may share period and parameters."""
     place, none = np.array([1.0, 6.0]), np.zeros(0)
     one, other = (
-        Outcome(Start(1, (1.0,)), Ending.FOUND, "", Solution(none, none, none, value, "", 1), place=place)
+        Outcome(Start(1, (1.0,)), Ending.FOUND, "", none, none, Solution(none, none, none, value, "", 1), place)
         for value in (0.5, 0.4)
     )
     assert not one.is_near(other)

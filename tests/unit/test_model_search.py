@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -11,7 +12,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
-from casadi_skin.search.design import Design, Ending
+from casadi_skin.search.design import Design, Ending, best_of
 from casadi_skin.solve.processes import SearchProgress
 
 Q, V, OMEGA, T = (ca.SX.sym(name) for name in ("q", "v", "omega", "t"))
@@ -166,6 +167,46 @@ def test_an_interruption_keeps_the_best() -> None:
     assert result.found
     assert result.reason.startswith("interrupted after 2 of 6 starts; found an optimum")
     assert [words.partition(";")[0] for words in result.starts] == ["found an optimum inside its bounds", "interrupted"]
+
+
+def ended(value: float, status: Ending, violation: float = 0.0, place: float = 0.0, maximise: bool = False) -> Design:
+    """The design of a start that ended so."""
+    path, words = np.array([[place]]), f"{status.value} with {value:g}"
+    return Design(
+        "height", maximise, value, 0.0, {"a": place}, {"a": (0.0, 1.0)}, path, np.array([value]), status, words,
+        violation=violation,
+    )  # fmt: skip
+
+
+def test_the_best_of_several_starts_is_the_best_optimum() -> None:
+    """Two starts lead to one optimum at 0.5, one to another at 0.7; what is not met or runs off is none."""
+    ends = [
+        ended(1.0, Ending.FOUND, place=0.7), ended(0.5, Ending.FOUND), ended(-9.0, Ending.INFEASIBLE, 1.0),
+        ended(0.5, Ending.FOUND, place=1e-6), ended(0.6, Ending.FOUND), ended(-1e9, Ending.UNBOUNDED),
+    ]  # fmt: skip
+    best = best_of(ends)
+    assert (best.value, best.found) == (0.5, True)
+    assert (
+        best.reason
+        == "found an optimum with 0.5; 2 of 6 starts led to it; 1 ran off without bound, so it is a local one"
+    )
+    assert [one.value for one in best.others] == [0.6, 1.0]  # one at the place of the best has another value
+    assert best.starts == tuple(end.reason for end in ends)
+    largest = [replace(end, maximise=True) for end in ends]
+    assert [one.value for one in best_of(largest).optima] == [1.0, 0.6, 0.5]
+
+
+def test_without_an_optimum_the_nearest_start_tells_why() -> None:
+    near, far = ended(5.0, Ending.INFEASIBLE, 0.1), ended(1.0, Ending.INFEASIBLE, 0.2)
+    nowhere, away = ended(np.nan, Ending.NOT_LOCATED, np.inf), ended(-1e9, Ending.UNBOUNDED, 1.0)
+    assert best_of([nowhere, far, near]).reason == near.reason
+    assert best_of([nowhere, far, near, away]).status is Ending.UNBOUNDED
+    assert best_of([nowhere, ended(3.0, Ending.FAILED), near]).status is Ending.FAILED
+    assert (
+        best_of([nowhere], "interrupted after 1 of 2 starts").reason
+        == f"interrupted after 1 of 2 starts; {nowhere.reason}"
+    )
+    assert best_of([nowhere]).optima == ()
 
 
 def test_what_searches_are_not_for_is_named() -> None:
