@@ -23,12 +23,11 @@ from casadi_skin.model.arguments import accepted_names
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.adjoint import Equations
-from casadi_skin.zero.linearised import Linearised, bordered, null_vectors
+from casadi_skin.zero.linearised import Linearised
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import PERIOD
 
-MULTIPLIER_STEPS = 2  # of the multiplier's corrections after the first, quadratic each
 EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
 Slopes = tuple[float, Array, Array]  # a value, its derivatives by the unknowns and by the parameters
 Target = Callable[[Any, Array], Slopes]
@@ -177,54 +176,69 @@ def _extreme(space: Any, k: int, sign: float, problem: Any, z: Array) -> Slopes:
     return float(by_z @ z), by_z, np.zeros(len(Equations.of(problem).names))
 
 
-def _multiplier(space: BoundarySpace, solution: Solution, problem: Any, z: Array) -> Slopes:
-    """The largest modulus of a multiplier but the trivial ones: v(1) = mu v(0), d mu = psi^H dB v / psi_1^H v(0).
+class Flow:
+    """The map Phi of changes of the state at the start of an orbit to those at its end, and its derivatives.
 
-    With x(-t) = R x(t) the second part of the period is the first one back: of functions v and w on the first one with
-    w(1) = M v(1) and N w(0) = nu v(0), M = N = R and mu = nu on a half, M = P R, N = R and mu = nu^2 on a quarter.
+    With B V = (1, 0), the rows of the start above those of the field, Phi is the end of V, and of numbers
+    a^T Phi b the derivative is -psi^T dB V b, where B^T psi is a at the end: exact, forward over reverse.
+
+    Attributes:
+        matrix: Phi, shape (n, n).
     """
-    from scipy.sparse import block_diag, bmat, csc_matrix, diags, eye, hstack, vstack
-    from scipy.sparse.linalg import splu
+
+    def __init__(self, problem: Any, z: Array) -> None:
+        from scipy.sparse import diags, eye, vstack
+        from scipy.sparse.linalg import splu
+
+        n, k = problem.formulation.states, problem.states
+        field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k, None]
+        B = diags(1.0 / sizes[:, 0]) @ vstack([eye(n, k), field]) @ diags(sizes[:, 0])
+        self._problem, self._z, self._sizes = problem, z, sizes
+        self._factors: Any = splu(B.tocsc())
+        self._ways = sizes * self._factors.solve(np.eye(k, n)) / sizes[:n, 0]
+        self.matrix = self._ways[-n:]
+
+    def slopes(self, a: Any, b: Any) -> tuple[Array, Array]:
+        """Real derivatives of the sum of a^T Phi b over columns, (n, any), by the unknowns and the parameters."""
+        equations, (n, count), sizes = Equations.of(self._problem), a.shape, self._sizes
+        ends = np.zeros((sizes.size, 2 * count))
+        ends[-n:] = sizes[-n:] * np.hstack([a.real, a.imag])
+        left = (self._factors.solve(ends, trans="T") / sizes)[n:]
+        found = np.zeros(self._z.size + len(equations.names))
+        for psi, v in zip((left[:, :count] + 1j * left[:, count:]).T, (self._ways @ b).T, strict=True):
+            weights, way = np.zeros(self._problem.equations, complex), np.zeros(self._z.size, complex)
+            weights[: psi.size], way[: v.size] = psi, v
+            found -= np.concatenate(equations.of_pair(self._z, weights, way)).real
+        return found[: self._z.size], found[self._z.size :]
+
+
+def _multiplier(space: BoundarySpace, solution: Solution, problem: Any, z: Array) -> Slopes:
+    """The largest modulus of a multiplier but the trivial ones: d mu = psi^T dM v over psi^T v, with the map M.
+
+    With x(-t) = N x(t) the second part of the period is the first one back: on a half of it M is N Phi^-1 N Phi. On a
+    quarter N Phi^-1 P N Phi, with the signs P after half a period, is the map of that, whose square M is.
+    """
+    from scipy.linalg import eig
 
     others = solution.floquet().others
     if not others.size:
         raise ValueError("quantity: given max_abs_multiplier of an orbit without others than the trivial ones")
-    mu, n, k = complex(others[np.argmax(np.abs(others))]), problem.formulation.states, problem.states
-    whole, quarter = space.symmetry is SymmetryClass.FULL, space.symmetry is SymmetryClass.QUARTER
-    field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k]
-    start, end = hstack([eye(n), csc_matrix((n, k - n))]), hstack([csc_matrix((n, k - n)), eye(n)])
-    columns, rows = sizes, np.roll(sizes, -n)
-    if not whole:
-        N, half = np.ones(n), np.ones(n)
+    mu, n, flow = others[np.argmax(np.abs(others))], problem.formulation.states, Flow(problem, z)
+    sizes, power = problem.sizes(z)[:n, None], 1 + (space.symmetry is SymmetryClass.QUARTER)
+    Phi = M = flow.matrix / sizes * sizes[:, 0]
+    N, back = np.ones(n), np.ones(n)
+    if space.symmetry is not SymmetryClass.FULL:
         N[: space.model.full_size] = space.model.reversal
-        half[: space.model.full_size] = space.model.half_period if quarter else 1.0
-        field, columns = block_diag([field, field]), np.tile(sizes, 2)
-        rows = np.concatenate([sizes[n:], sizes[n:], sizes[-n:], sizes[:n]])
-
-    def step(nu: Any) -> tuple[Any, Array, Array]:
-        """The multiplier's correction; v, and psi over psi_1^H v(0)."""
-        closing = end - nu * start if whole else bmat([[-diags(half * N) @ end, end], [-nu * start, diags(N) @ start]])
-        B = (diags(1.0 / rows) @ vstack([field, closing]) @ diags(columns)).tocsc()
-        v, psi = null_vectors(B)  # whose shift is seen in the eleventh digit: they border B alone
-        factors: Any = splu(bordered(B, v[:, None].conj(), psi[:, None]))
-        last = np.append(np.zeros_like(v), 1.0)
-        v, psi = (factors.solve(last, trans)[:-1] for trans in ("N", "H"))
-        left = psi.conj() / (psi.conj()[-n:] @ v[:n])
-        return left @ (B @ v), v, left
-
-    mu = mu if mu.imag else mu.real
-    ways: list[Any] = [np.emath.sqrt(mu), -np.emath.sqrt(mu)] if quarter else [mu]
-    more, v, left, nu = min(((*step(way), way) for way in ways), key=lambda one: abs(one[0]))
-    for _ in range(MULTIPLIER_STEPS):
-        nu = nu + more
-        more, v, left = step(nu)
-    equations, size = Equations.of(problem), float(abs(nu))
-    power, found = 1 + quarter, np.zeros(z.size + len(equations.names))
-    for copy in range(v.size // k):
-        way, weights = np.zeros(z.size, dtype=v.dtype), np.zeros(problem.equations, dtype=left.dtype)
-        way[:k], weights[: k - n] = v[copy * k :][:k] * sizes, left[copy * (k - n) :][: k - n] / sizes[n:]
-        pulled = np.concatenate(equations.of_pair(z, weights, way))
-        found += (power * size ** (power - 2) * np.conj(nu) * pulled).real
-    by_z, by_c = found[: z.size], found[z.size :]
-    by_c[list(equations.by_switching(z))] = np.nan  # how the maps change with the mesh is not known
-    return float(size**power), by_z, by_c
+        back[: space.model.full_size] = space.model.half_period if power == 2 else 1.0
+        M = N[:, None] * np.linalg.solve(Phi, (back * N)[:, None] * Phi)
+    values, left, right = eig(M, left=True)
+    k = int(np.argmin(np.abs(values**power - mu)))
+    nu, v, psi = complex(values[k]), right[:, [k]], left[:, [k]].conj()
+    a, b = psi / (psi.T @ v), v
+    if space.symmetry is not SymmetryClass.FULL:
+        p = np.linalg.solve(Phi.T, N[:, None] * a)
+        a, b = np.hstack([-p, (back * N)[:, None] * p]), np.hstack([nu * N[:, None] * v, v])
+    size = abs(nu)
+    by_z, by_c = flow.slopes(power * size ** (power - 2) * nu.conjugate() * a / sizes, b * sizes)
+    by_c[list(Equations.of(problem).by_switching(z))] = np.nan  # how the maps change with the mesh is not known
+    return size**power, by_z, by_c

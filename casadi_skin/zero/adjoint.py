@@ -17,9 +17,9 @@ first derivatives. A simple eigenvalue or multiplier of the linearisation has th
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -30,7 +30,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.zero.augmented import Augmented
 from casadi_skin.zero.discretisation import Formulation
-from casadi_skin.zero.linearised import by_parts
+from casadi_skin.zero.linearised import Linearised, by_parts
 from casadi_skin.zero.mesh import Mesh, with_edges
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem
@@ -40,6 +40,12 @@ from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 DIFFERENCE_STEP = EPSILON**0.2
 SWITCHING_STEP = 1e-4  # of a parameter that moves the times at which the field switches, likewise
 Pulled = tuple[Array, Array]  # derivatives of a scalar by the unknowns, shape (size,), and by the parameters
+
+
+def central(function: Callable[[float], Array], h: float) -> Array:
+    """The derivative at 0, by the central difference of fourth order with steps h and 2 h."""
+    a, b, c, d = (function(k * h) for k in (1.0, -1.0, 2.0, -2.0))
+    return np.asarray((8.0 * (a - b) - (c - d)) / (12.0 * h))
 
 
 def _pull(values: Expression, before: Sequence[Expression], moving: Sequence[Expression], last: Expression,
@@ -106,9 +112,8 @@ class Equations:
             return found
         largest = float(np.max(np.abs(way) / self.lengths(z)))
         h = self.widening * DIFFERENCE_STEP / max(largest, 1e-300)
-        beside = [self._pulled(z + k * h * way, left, None) for k in (1.0, -1.0, 2.0, -2.0)]
-        by_z, by_c = ((8.0 * (a - b) - (c - d)) / (12.0 * h) for a, b, c, d in zip(*beside, strict=True))
-        return by_z, by_c
+        slopes = central(lambda k: np.concatenate(self._pulled(z + k * way, left, None)), h)
+        return slopes[: z.size], slopes[z.size :]
 
     def by_switching(self, z: Array) -> dict[int, Array]:
         """Derivatives of all equations by parameters, by place, that move the times at which the field switches."""
@@ -186,16 +191,13 @@ class OfCollocation(Equations):
         return self.problem.sizes(z)
 
     def matrix(self, z: Array) -> Any:
-        from scipy.sparse import csc_matrix
-
-        of = self.problem.discretisation
-        return csc_matrix((of(z, self.problem.numbers)[1], (of.rows, of.columns)), shape=(of.equations, z.size))
+        return Linearised(self.problem, z, self.problem.statement).matrix
 
     def by_switching(self, z: Array) -> dict[int, Array]:
         """By differences on meshes whose edges move along: at a held mesh such a parameter does nothing."""
         statement, found = self.problem.statement, dict[int, Array]()
 
-        def residual(name: str, step: float) -> Array:
+        def residual(step: float, name: str) -> Array:
             other = copy.copy(self.problem)
             other.__dict__.pop("numbers", None)
             other.statement = statement.with_parameters(**{name: statement.values[name] + step})
@@ -208,8 +210,7 @@ class OfCollocation(Equations):
             h = SWITCHING_STEP * (abs(statement.values[name]) or 1.0)
             moved = statement.with_parameters(**{name: statement.values[name] + h}).switching
             if not np.array_equal(moved, statement.switching):
-                a, b, c, d = (residual(name, k * h) for k in (1.0, -1.0, 2.0, -2.0))
-                found[place] = (8.0 * (a - b) - (c - d)) / (12.0 * h)
+                found[place] = central(partial(residual, name=name), h)
         return found
 
     def at_start(self, z: Array, weights: Array) -> Array:
