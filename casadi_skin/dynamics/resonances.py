@@ -29,7 +29,7 @@ from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
 from casadi_skin.model.arguments import check_name
 from casadi_skin.model.result import in_turn
-from casadi_skin.points.gradient import DIFFERENCE_PLACES, DIFFERENCE_WEIGHTS, Gradient
+from casadi_skin.points.gradient import Gradient
 from casadi_skin.solve.watch import one_thread
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import Point
@@ -207,6 +207,9 @@ def _excess(lattice: Lattice, frequency: str, orbit: Orbit) -> tuple[float, floa
 BALANCE_TOLERANCE = 1e-12
 LARGEST_S = 1e4  # up to which a threshold is looked for
 THRESHOLD_STEP = 1e-3  # of a parameter, of differences of thresholds
+# Places and weights of differences with steps h, 2 h, 4 h: of order h^4 by the shorter two, and by the longer two.
+DIFFERENCE_PLACES = 1.0, -1.0, 2.0, -2.0, 4.0, -4.0
+DIFFERENCE_WEIGHTS = np.repeat([[8.0, -1.0, 0.0], [0.0, 4.0, -0.5]], 2, axis=1) * np.tile([1.0, -1.0], 3) / 12.0
 
 
 @in_turn

@@ -30,6 +30,7 @@ from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.family_stability import orbit_state
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import POWERS_BY_FRACTION, orthogonal_complements, reduced_matrices
+from casadi_skin.stability.reduction import blocks_of
 from casadi_skin.stability.tongues.diagram import Place, StabilityEdge
 from casadi_skin.zero.family import Targets
 from casadi_skin.zero.kinds import EDGE, KINDS_BY_TURNS, Unresolved
@@ -188,17 +189,35 @@ def beside(family: Family, point: Point, S: float) -> Point:
     return replace(point, z=point.z + moved * point.tangent, better=None)
 
 
-def matrices_of(family: Family, point: Point) -> tuple[Array, Array, Array]:
-    """(K, P, Q) of an orbit, or K alone, whose mu are the eigenvalues of K; matrices like their errors; their frame.
-
-    The trivial direction is left out: the frame, shape (n, m), holds the coordinates across it.
-    """
+def flow_along(family: Family, point: Point) -> tuple[Array, Array, Array]:
+    """Phi along an orbit, a matrix like its error, and q'' at phase zero, which K does not see (see `multipliers`)."""
     whole, everywhere = family.whole, family.on_all_positions(point)
     transition = whole.flow.transition(everywhere.problem, everywhere.z)
-    directions = whole.accelerations([orbit_state(everywhere)])
-    matrix, error = transition.matrix[None], flow_error(transition)[None]
-    values, changes = reduced_matrices(matrix, error, directions, whole.coordinates.symplectic)
-    return values[0], changes[0], orthogonal_complements(directions)[0]
+    return transition.matrix, flow_error(transition), whole.accelerations([orbit_state(everywhere)])[0]
+
+
+def mu_of(flow: Array, direction: Array) -> Any:
+    """The mu of Phi, shape (2n, 2n), without the trivial one."""
+    K, _ = reduced_matrices(flow[None], np.zeros_like(flow[None]), direction[None], symplectic=False)
+    return np.linalg.eigvals(K[0, 0])
+
+
+@dataclass(frozen=True)
+class Condition:
+    """The function that vanishes at an edge, as it is of Phi, near one.
+
+    Attributes:
+        mean: of the mu that meet.
+        value: of the function.
+        a, b: at the edge dPhi changes it by the sum of a^T dPhi b over columns, shape (2n, any) each.
+        null: n, where two meet by a form; all coordinates.
+    """
+
+    mean: float
+    value: float
+    a: Array
+    b: Array
+    null: Array | None = None
 
 
 # Edges followed in a parameter of the model with S free: one equation in both -------------------------------
@@ -228,8 +247,8 @@ class EdgeProblem(Undiscretised):
         n^T P K n = 0 with n^T P n = 0      where two meet, n in the space of V: by P and K, or Q and K^T.
 
     These zeros are simple however narrow a tongue is (see `stability.tongues.pairs`); of both n it is that nearest to
-    n at the nearest orbit known. Without P and Q, and of more mu, their distance from the edge's mu, or their variance
-    where they meet, vanishes instead.
+    n at the nearest orbit known. Without P and Q, of more mu, and at an extremum of the energy, where the trivial mu is
+    one of them, their distance from the edge's mu, or their variance where they meet, vanishes instead.
     """
 
     states = 2
@@ -239,20 +258,22 @@ class EdgeProblem(Undiscretised):
     ) -> None:
         self.edge, self._family, self._course, self._S = edge, orbit.space.whole, course, edge.S
         breaking = breaking_of(orbit, edge.mu) if edge.kind == REAL_KIND else None
-        self._crossed = breaking is not None and not breaking.lost
+        self.crossed = breaking is not None and not breaking.lost and breaking.turns == 1
         self._exact = {course.fraction(value): value for value in exact}
         self._families, self._last = dict[float, Family](), dict[bytes, tuple[Array, Array]]()
         self._known: dict[tuple[float, float], tuple[Point, Array | None]]
         self._known = {(self._family.request.S_of(beside.parameter) / edge.S, 0.0): (beside, None)}
         self._meet, self._form = edge.kind == COMPLEX_KIND, 0
+        self._trivial = -1.0 if POWERS_BY_FRACTION[self._family.flow.fraction] == 2 else 0.0
         here = self.orbit(self.begin)
-        (K, *forms), _, _ = matrices_of(here.space, here.point)
+        flow, _, direction = flow_along(here.space, here.point)
         near = EQUAL_PAIRS_DISTANCE if self._meet else EQUAL_MU_DISTANCE
-        self.count = max(1 + self._meet, int(np.sum(np.abs(np.linalg.eigvals(K) - edge.mu) <= near)))
-        if forms and (self.count == 2 if self._meet else edge.kind == REAL_KIND):
-            own = [V.T @ P @ V for P, V in zip(forms, map(self._space, (K, K.T), [edge.mu] * 2), strict=True)]
-            shown = [np.linalg.det(P) / np.sum(P**2) if self._meet else abs(np.trace(P)) for P in own]
-            self._form = 1 + int(np.argmin(shown))
+        self.count = max(1 + self._meet, int(np.sum(np.abs(mu_of(flow, direction) - edge.mu) <= near)))
+        if self._family.coordinates.symplectic and breaking is not None:
+            self._form = 1 if breaking.block in "AC" else 2
+        elif self._family.coordinates.symplectic and self._meet and self.count == 2:
+            forms = [upper.T @ lower for *_, upper, lower in (self._along(flow, direction, edge.mu, k) for k in (1, 2))]
+            self._form = 1 + int(np.argmin([np.linalg.det(P) / np.sum(P**2) for P in forms]))
 
     @property
     def begin(self) -> Array:
@@ -278,7 +299,7 @@ class EdgeProblem(Undiscretised):
         if not S > 0.0:
             raise ArithmeticError("S comes to 0")
         family, (near, _) = self._family_at(value), self._nearest(z)
-        if not self._crossed:
+        if not self.crossed:
             return Orbit(family, orbit_at(family, S, beside(family, near, S)))
         sides = (S * (1.0 + h) for h in (-OFFSET_FROM_EDGE, OFFSET_FROM_EDGE))
         before, after = (orbit_at(family, side, beside(family, near, side)) for side in sides)
@@ -293,54 +314,86 @@ class EdgeProblem(Undiscretised):
         """The mean of mu and the function that vanishes; with `errors` this with those of flow and orbit, too."""
         place, (_, before) = (float(z[0]), float(z[2])), self._nearest(z)
         orbit = self.orbit(z)
-        matrices, changes, frame = matrices_of(orbit.space, orbit.point)
-        mean, value, n = self._function(matrices, frame, z[1], before)
-        self._known[place] = orbit.point, n
+        point = orbit.point
+        flow, error, direction = flow_along(orbit.space, point)
+        here = self.condition(flow, direction, z[1], before)
+        self._known[place] = point, here.null
         _keep_last(self._known, KEPT_ORBITS)
         if not errors:
-            return np.array([mean, value])
-        moved, better = self._function(matrices + changes, frame, z[1], n)[1], orbit.point.better
-        if better is not None:
-            finer = replace(orbit.point, problem=better.problem, z=better.z, better=None)
-            matrices, _, frame = matrices_of(orbit.space, finer)
-        return np.array([mean, value, moved, self._function(matrices, frame, z[1], n)[1]])
+            return np.array([here.mean, here.value])
+        finer = point.better or point
+        others = flow_along(orbit.space, replace(point, problem=finer.problem, z=finer.z, better=None))
+        moved = [self.condition(*one, z[1], here.null).value for one in ((flow + error, direction), others[::2])]
+        return np.array([here.mean, here.value, *moved])
 
-    def _space(self, K: Array, mu: float) -> Array:
-        """An orthonormal basis of the invariant space of the mu that meet, near one, shape (m, count)."""
+    def _space(self, K: Any, mu: float, meeting: int | None = None) -> Array:
+        """An orthonormal basis of the invariant space of the mu that meet, near one, shape (m, meeting)."""
         from scipy.linalg import schur
 
-        away = np.sort(np.abs(np.linalg.eigvals(K) - mu))
-        within = 0.5 * (away[self.count - 1] + away[self.count]) if away.size > self.count else np.inf
+        away, meeting = np.sort(np.abs(np.linalg.eigvals(K) - mu)), meeting or self.count
+        within = 0.5 * (away[meeting - 1] + away[meeting]) if away.size > meeting else np.inf
 
         def meets(real: float, imaginary: float = 0.0) -> bool:
             return bool(abs(real + 1j * imaginary - mu) < within)
 
         _, vectors, count = schur(K, sort=meets)
-        if count != self.count:
+        if count != meeting:
             raise ArithmeticError("the multipliers that meet cannot be distinguished from others")
         return np.asarray(vectors[:, :count])
 
-    def _function(
-        self, matrices: Array, frame: Array, mu: float, before: Array | None
-    ) -> tuple[float, float, Array | None]:
-        """The mean of mu, the function that vanishes, and n in all coordinates."""
-        K, form = matrices[0].T if self._form == 2 else matrices[0], matrices[self._form]
-        V = self._space(K, mu)
-        own = V.T @ K @ V
-        mean = float(np.trace(own)) / self.count
-        if not self._form:
-            off = own - (mean if self._meet else self.edge.mu) * np.eye(self.count)
-            return mean, float(np.trace(off @ off if self._meet else off)) / self.count, None
-        if not self._meet:
-            return mean, float(np.trace(V.T @ form @ V)) / self.count, None
-        (low, high), axes = np.linalg.eigh(V.T @ form @ V)
-        if not low < 0.0 < high:
-            raise ArithmeticError("the multipliers that meet have signatures that are not opposite")
-        both = [V @ axes @ np.array([np.sqrt(high), side * np.sqrt(-low)]) for side in (1.0, -1.0)]
-        both = [n / np.linalg.norm(n) for n in both]
-        found = [float(n @ form @ K @ n) for n in both]
-        which = np.argmin(np.abs(found)) if before is None else np.argmax([abs(frame @ n @ before) for n in both])
-        return mean, found[which], frame @ both[which]
+    def _along(self, flow: Array, direction: Array, mu: float, form: int) -> tuple[float, Array, Array, Array]:
+        """The mean of mu; a basis V of the right space of K, or of the left one; A V and C V, or B V and D V."""
+        A, B, C, D = blocks_of(flow)
+        K, unit = B.T @ C if form == 1 else C.T @ B, direction / np.linalg.norm(direction)
+        frame = orthogonal_complements(direction[None])[0]
+        own = frame.T @ K @ frame
+        V = self._space(own, mu)
+        mean, V = float(np.trace(V.T @ own @ V)) / self.count, frame @ V
+        distance = mu - self._trivial
+        if form == 2 and abs(distance) > EQUAL_MU_DISTANCE:  # with what left vectors have along the trivial direction
+            V = V + np.outer(unit, unit @ K @ V / distance)
+        upper, lower = (A, C) if form == 1 else (B, D)
+        return mean, V, upper @ V, lower @ V
+
+    def condition(self, flow: Array, direction: Array, mu: float, before: Array | None = None) -> Condition:
+        """The function that vanishes, of Phi and q'' at phase zero, and how it changes with Phi at the edge.
+
+        Of P or Q dV and dn are not seen there. Where two meet, n^T P K n = l^T K r changes by l^T dK r, with r = n and
+        l = P n, or l = n and r = Q n, and K = -(Phi^-1)_12 C changes with Phi as matrices do. Without them K is not
+        reduced, and the trivial mu is taken with those that it meets: at an extremum of the energy, in a Jordan block.
+        """
+        n, C, null = len(direction), blocks_of(flow)[2], None
+        K = -np.linalg.solve(flow, np.vstack([np.zeros_like(C), C]))[:n]
+        if self._form:
+            mean, V, upper, lower = self._along(flow, direction, mu, self._form)
+            P, first = 0.5 * (upper.T @ lower + lower.T @ upper), self._form == 1
+            if not self._meet:
+                start = np.vstack([V, 0.0 * V] if first else [0.0 * V, V])
+                return Condition(mean, float(np.trace(P)), np.vstack([lower, upper]), start)
+            (low, high), axes = np.linalg.eigh(P)
+            if not low < 0.0 < high:
+                raise ArithmeticError("the multipliers that meet have signatures that are not opposite")
+            both = axes @ (np.sqrt([[high], [-low]]) * [[1.0, 1.0], [1.0, -1.0]])
+            both = both / np.linalg.norm(both, axis=0)
+            here, there = V @ both, blocks_of(flow)[0 if first else 1].T @ lower @ both
+            left, right = (there, here) if first else (here, there)
+            found = np.sum(left * (K @ right), axis=0)
+            k = int(np.argmin(np.abs(found)) if before is None else np.argmax(np.abs(before @ here)))
+            value, left, right, null = float(found[k]), left[:, [k]], right[:, [k]], here[:, k]
+        else:
+            trivial = int(abs(mu - self._trivial) <= EQUAL_MU_DISTANCE)
+            count = self.count + trivial
+            right, left = self._space(K, mu, count), self._space(K.T, mu, count)
+            left = left @ np.linalg.inv(right.T @ left)
+            own = left.T @ K @ right
+            mean = float(np.trace(own) - trivial * self._trivial) / self.count
+            off = own - (mean if self._meet else self.edge.mu) * np.eye(count)
+            value = float(np.trace(off @ off) / 2.0 if self._meet else np.trace(off))
+            left = left @ off.T if self._meet else left
+        back = np.linalg.solve(flow.T, np.vstack([left, 0.0 * left]))
+        ahead = np.linalg.solve(flow, np.vstack([0.0 * right, C @ right]))
+        a, b = [back, np.vstack([0.0 * left, -back[n:]])], [ahead, np.vstack([right, 0.0 * right])]
+        return Condition(mean, value, np.hstack(a), np.hstack(b), null)
 
     def linear(self, z: Array) -> tuple[Array, Array]:
         """`values` and their derivatives by S and u, shape (2, 2), by differences; raises SingularError.
@@ -593,7 +646,7 @@ def _resonance(family: Family, point: Point, S: float, turns: int) -> StabilityE
 
     It is the resonance of the orbit of the shorter period, at a point of which the family is.
     """
-    mu = np.linalg.eigvals(matrices_of(family, point)[0][0])
+    mu = mu_of(*flow_along(family, point)[::2])
     real = np.clip(mu[np.abs(mu.imag) <= REAL_MU_ATOL].real, -1.0, 0.0)
     roots = np.pi * np.arange(1, turns) / turns
     away = np.min(np.abs(roots[:, None] - np.arccos(1.0 + 2.0 * real)), axis=1, initial=np.inf)

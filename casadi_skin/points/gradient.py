@@ -8,7 +8,7 @@ changes, drawn at random.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,8 +24,8 @@ from casadi_skin.follow.space import FAMILY, ORBITS
 from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, Located, SpecialPoint, locate, locate_rest
 from casadi_skin.model.arguments import check_name, with_error
 from casadi_skin.model.result import Result, in_turn
-from casadi_skin.points.edges import EdgeProblem, edge_problem, parameters_of
-from casadi_skin.points.targets import Slopes, Target, target_of, unknown
+from casadi_skin.points.edges import edge_problem, parameters_of
+from casadi_skin.points.targets import Flow, Slopes, Target, target_of, unknown
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.adjoint import Equations, derivatives
 from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
@@ -40,10 +40,9 @@ WIDER_DIFFERENCES = 2.0  # times the steps of differences of a program's derivat
 # Deviations of rounding beyond which a push of the equations makes a branch point none: those of 24 random symmetric
 # models, whose coefficients are rounded, were up to 400, pushes that do are some 1e13.
 UNFOLDING_DEVIATIONS = 1e8
-EDGE_STEP = 2e-4  # of S and of a parameter: that of differences at an edge; of 1e-3 some come to another pair of mu
-# Places and weights of differences with steps h, 2 h, 4 h: of order h^4 by the shorter two, and by the longer two.
-DIFFERENCE_PLACES = 1.0, -1.0, 2.0, -2.0, 4.0, -4.0
-DIFFERENCE_WEIGHTS = np.repeat([[8.0, -1.0, 0.0], [0.0, 4.0, -0.5]], 2, axis=1) * np.tile([1.0, -1.0], 3) / 12.0
+# Beside an edge at which another branch crosses, of S: weights of the places, of orders four and two.
+CROSSING_SIDES = -1e-3, -5e-4, 5e-4, 1e-3
+CROSSING_WEIGHTS = np.array([[-1.0, 4.0, 4.0, -1.0], [0.0, 3.0, 3.0, 0.0]]) / 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +122,7 @@ def gradient(point: SpecialPoint, *, errors: bool = True) -> Gradient:
     """
     solution, name, value = point.solution, point.parameter, point.parameters[point.parameter]
     if solution.space.connects == FAMILY and (point.kind == EDGE or point.mu is not None):
-        return _of_edge(point)
+        return _of_edge(point, errors)
     space, held = solution.space, f"all parameters but {name}, and the kind of the point"
     if point.kind in (HOMOCLINIC, HETEROCLINIC) and PERIOD in space.free:
         return _of_connection(point, held)
@@ -132,15 +131,16 @@ def gradient(point: SpecialPoint, *, errors: bool = True) -> Gradient:
         raise ArithmeticError(f"{space.model.name}: the {point.kind} is not found again: its equations are not solved")
 
     def target(problem: Any, z: Array) -> Slopes:
-        return unknown(problem, z, problem.first_index, extent)
+        pushed = [problem.added_index] if point.kind == BRANCH_POINT else []
+        rows = np.array([unknown(problem, z, index, extent)[1] for index in (problem.first_index, *pushed)])
+        return value, rows, np.zeros((len(rows), len(Equations.of(problem).names)))
 
     at, better = located.point, located.point.better
     finer = (better.problem, better.z) if better is not None and better.problem is not at.problem else None
     equations = Equations.of(at.problem)
     names = [known for known in equations.names if known in point.parameters and known not in equations.unknowns()]
-    pushed = at.problem.added_index if point.kind == BRANCH_POINT else None
-    found = _with_errors(target, (at.problem, at.z), finer, names, pushed, errors)
-    return Gradient(f"{name} at the {point.kind}", value, *found, held)
+    found = _with_errors(target, (at.problem, at.z), finer, names, errors)
+    return _gradient(f"{name} at the {point.kind}", value, names, found, held)
 
 
 def _located(point: SpecialPoint) -> tuple[Located | None, float]:
@@ -203,29 +203,61 @@ def _of_connection(point: SpecialPoint, held: str) -> Gradient:
     return Gradient(f"{name} at the {point.kind}", values[name], slopes, errors, held)
 
 
-def _of_edge(point: SpecialPoint) -> Gradient:
-    """S of an edge of a tongue, by central differences of the one equation in S and a parameter that it solves.
+def _of_edge(point: SpecialPoint, errors: bool) -> Gradient:
+    """S of an edge of a tongue, where a function f(S, p) of the orbits of a family vanishes: dS/dp = -f_p/f_S.
 
-    Orbits are solved at the places of the differences; multipliers have no second derivatives of the equations.
+    Orbits are those of boundary-value problems at their S, each with its own flow that f is of: see `Condition`. The
+    finer mesh is at the zero of f. Where a branch of the same class crosses, an orbit is singular, and what orbits on
+    both sides have is interpolated.
     """
-    orbit, S = point.solution, point.parameters[point.parameter]
-    in_S, _, in_u = EDGE_STEP * np.eye(3)
-    slopes, errors, by_S = dict[str, float](), dict[str, float](), None
-    for name in parameters_of(orbit.space):
-        start = float(orbit.parameters[name])
-        way = abs(start) or 1.0
-        problem = edge_problem(orbit, S, Course(name, start, start + way), (start,))
+    orbit, of, held = point.solution, f"S at the {point.kind}", "all parameters but S, and the kind of the point"
+    family, amplitude = orbit.space.whole, with_amplitude(orbit.space.coordinates.model)[1]
+    names = [name for name in parameters_of(orbit.space) if name != amplitude]
+    S = point.parameters[point.parameter]
+    if not names:
+        return _gradient(of, S, names, np.empty((2, 0)), held)
+    start, scale, frame = float(orbit.parameters[names[0]]), family.coordinates.scale, family.frame
+    edge = edge_problem(orbit, S, Course(names[0], start, start + 1.0), (start,))
+    frame = np.eye(scale.size) if frame is None else frame
+    to_scaled, of_scaled = np.kron(np.eye(2), frame.T / scale), np.kron(np.eye(2), scale[:, None] * frame)
 
-        def along(direction: Array, problem: EdgeProblem = problem) -> Array:
-            """Derivatives by steps of two sizes, of the equation and with the errors of flow and orbit, (2, 3)."""
-            values = [problem.values(problem.begin + k * direction, errors=True)[1:] for k in DIFFERENCE_PLACES]
-            return np.asarray(DIFFERENCE_WEIGHTS @ np.array(values))
+    def target(problem: Any, z: Array) -> Slopes:
+        flow, x = Flow(problem, z), z[: problem.formulation.states]
+        field = problem.formulation.field_function(0.0, x, *problem.repeated(z, 1))[0]
+        direction = np.split(to_scaled @ np.array(field).ravel(), 2)[1]
+        here = edge.condition(to_scaled @ flow.matrix @ of_scaled, direction, edge.edge.mu)
+        return here.value, *flow.slopes(to_scaled.T @ here.a, of_scaled @ here.b)
 
-        by_S = along(in_S) if by_S is None else by_S
-        found = -along(in_u) / by_S * S / way
-        slopes[name], errors[name] = float(found[0, 0]), float(np.sum(np.abs(found - found[0, 0])))
-    held = "all parameters but S, and the kind of the point"
-    return Gradient(f"S at the {point.kind}", S, slopes, errors, held)
+    def at(side: float) -> Array:
+        """Derivatives at an S beside that of the edge, or at the edge, and their errors, (2, names)."""
+        solution = restated(edge.orbit(edge.begin + side * np.eye(3)[0]), "")
+        space, problem = solution.space, solution.point.problem
+        z = _polished(problem, solution.point.z, 1)
+        if not side:
+            value, by_z, by_c = target(problem, z)
+            by_S = derivatives(Equations.of(problem), z, by_z[None], by_c[None])[0]
+            ahead = value / by_S[list(problem.statement.values).index(amplitude)]
+            values = {amplitude: solution.parameters[amplitude] - ahead}
+            space = replace(space, statement=space.statement.with_parameters(**values))
+        base = space.levels.problem(problem.resolution).with_constants(problem.constants)
+        return _with_errors(target, (problem, z), _finer(space, base, z), names, errors, amplitude)
+
+    sides, weights = (CROSSING_SIDES, CROSSING_WEIGHTS) if edge.crossed else ((0.0,), np.ones((2, 1)))
+    slopes, off = np.array([at(side) for side in sides]).swapaxes(0, 1)
+    best, other = weights @ slopes
+    return _gradient(of, S, names, (best, np.abs(best - other) + np.abs(weights[0]) @ off), held)
+
+
+def _gradient(of: str, value: float, names: Sequence[str], found: Iterable[Array], held: str) -> Gradient:
+    """From derivatives and errors in the order of the names."""
+    slopes, errors = (dict(zip(names, part.tolist(), strict=True)) for part in found)
+    return Gradient(of, value, slopes, errors, held)
+
+
+def _finer(space: Any, problem: Any, z: Array) -> tuple[Any, Array] | None:
+    """A guess of a solution on a finer mesh, where there is one."""
+    above = None if isinstance(problem, AlgebraicProblem) else space.levels.finer(problem)
+    return None if above is None else (above, problem.prolong(z, above))
 
 
 @in_turn
@@ -263,18 +295,13 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         space = held_space(replace(space, statement=stated), fixed)
         problem = space.levels.problem(problem.resolution).with_constants(problem.constants)
     target, words = target_of(space, solution, quantity)
-    finer = None
-    if not isinstance(problem, AlgebraicProblem):
-        above = space.levels.finer(problem)
-        finer = None if above is None else (above, problem.prolong(point.z, above))
-    free = set(space.free)
-    names = [name for name in space.model.parameter_names if name not in free]
+    names = [name for name in space.model.parameter_names if name not in space.free]
     at = problem, _polished(problem, point.z, 1)
     if words == "energy" and not np.isclose(target(*at)[0], family.energy, rtol=1e-6):
         raise ValueError("quantity: given energy in a gauge, which parameters change; accepted: that of a model")
-    found = _with_errors(target, at, finer, names, errors=errors)
+    found = _with_errors(target, at, _finer(space, problem, point.z), names, errors)
     picked = "" if fixed is None else f", and the {fixed}"
-    return Gradient(words, target(*at)[0], *found, f"all other parameters{picked}")
+    return _gradient(words, target(*at)[0], names, found, f"all other parameters{picked}")
 
 
 @in_turn
@@ -292,25 +319,26 @@ def _polished(problem: Problem, z: Array, steps: int) -> Array:
 
 
 def _with_errors(
-    target: Target, at: tuple[Any, Array], finer: tuple[Any, Array] | None, names: Sequence[str],
-    pushed: int | None = None, errors: bool = True,
-) -> tuple[dict[str, float], dict[str, float]]:  # fmt: skip
-    """Derivatives of a target by the named parameters, of the finer mesh where there is one, and their errors."""
+    target: Target, at: tuple[Any, Array], finer: tuple[Any, Array] | None, names: Sequence[str], errors: bool,
+    over: str = "",
+) -> Array:  # fmt: skip
+    """Derivatives of a target by the named parameters, of the finer mesh where there is one, and errors, (2, names).
+
+    A second row of a target is what moves where a parameter unfolds the point; `over` names a parameter that moves so
+    that the target keeps its value: its derivatives are those found.
+    """
 
     def found(problem: Any, z: Array, widening: float = 1.0, noise: np.random.Generator | None = None) -> Array:
         equations = Equations.of(problem, widening)
-        _, by_z, by_c = target(problem, z)
-        rows, own = [by_z], [by_c]
-        if pushed is not None:
-            rows.append(np.eye(1, z.size, pushed)[0])
-            own.append(np.zeros(by_c.size))
-        chosen = [equations.names.index(name) for name in names]
-        return derivatives(equations, z, np.array(rows), np.array(own), noise)[:, chosen]
+        by_z, by_c = map(np.atleast_2d, target(problem, z)[1:])
+        slopes = derivatives(equations, z, by_z, by_c, noise)
+        chosen = slopes[:, [equations.names.index(name) for name in names]]
+        return chosen / -slopes[:, [equations.names.index(over)]] if over else chosen
 
     own = best = found(*at)
     problem, z = at
-    if not errors and pushed is None:  # what unfolds a branch point is seen by errors alone
-        return dict(zip(names, own[0].tolist(), strict=True)), dict.fromkeys(names, np.inf)
+    if not errors and len(own) == 1:  # what unfolds a branch point is seen by errors alone
+        return np.vstack([own, np.full(own.shape, np.inf)])
     if finer is not None:
         problem, z = finer[0], _polished(*finer, 2)
         best = found(problem, z)
@@ -325,7 +353,6 @@ def _with_errors(
         moved = z - solve(np.append(signs * rounding, 0.0))
         probes.append(found(problem, moved, noise=generator) - best)
     spread = np.sqrt(np.mean(np.array(probes) ** 2, axis=0))
-    estimate, values = (off + ROUNDING_DEVIATIONS * spread + EPSILON * np.abs(best))[0], best[0]
-    if pushed is not None:
-        values = np.where(np.abs(best[1]) > UNFOLDING_DEVIATIONS * spread[1], np.nan, values)
-    return dict(zip(names, values.tolist(), strict=True)), dict(zip(names, estimate.tolist(), strict=True))
+    off = off + ROUNDING_DEVIATIONS * spread + EPSILON * np.abs(best)
+    unfolds = np.any(np.abs(best[1:]) > UNFOLDING_DEVIATIONS * spread[1:], axis=0)
+    return np.array([np.where(unfolds, np.nan, best[0]), off[0]])

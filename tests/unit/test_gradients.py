@@ -16,9 +16,12 @@ from programs import Program
 from small_models import forced_orbit, fput, limit_cycle
 
 from casadi_skin import (
+    Bond,
     BoundaryValueProblem,
     Chain,
+    Lattice,
     OdeModel,
+    Site,
     find_equilibrium,
     find_orbit,
     follow_family,
@@ -351,19 +354,110 @@ def test_special_points_of_a_program_move_as_those_of_its_equations_within_their
 # Edges of tongues -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("sites", "to"), [(8, 1.0), pytest.param(4, 2.0, marks=pytest.mark.slow)])
-def test_edges_of_tongues_move_along_their_curves_and_scale_with_the_cubic_force(sites: int, to: float) -> None:
-    """S is proportional to 1/|g|. Two multipliers meet at the edges of eight sites, one is 1 at those of four."""
-    branch = follow_family(Chain(sites, 1.0, 0.2, -1.0), 1, to, stability=True, tolerance=1e-9)
-    edge = branch.edge(0)
-    found = edge.gradient()
+def curved(edge: Any, name: str, step: float) -> float:
+    """The derivative of S along curves of an edge, by differences of fourth order."""
+    start = edge.parameters[name]
+    return by_differences(lambda value: float(edge.curve(name, value).S[-1]), {"value": start}, "value", step)
+
+
+@pytest.mark.parametrize("number", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_edges_of_tongues_move_along_their_curves_and_scale_with_the_cubic_force(number: int) -> None:
+    """S is proportional to 1/|g|. A multiplier is 1 at the first edge of eight sites, two meet at the third."""
+    edge = follow_family(Chain(8, 1.0, 0.2, -1.0), 1, 1.0, stability=True, tolerance=1e-9).edge(number)
+    found, alone = edge.gradient(), edge.gradient(errors=False)
     assert list(found) == ["alpha", "gamma", "g"]
-    assert abs(found["g"] - edge.parameters["S"]) <= found.errors["g"] < 1e-8
-    ahead, behind = (edge.curve("gamma", 0.2 + way) for way in (2e-4, -2e-4))
-    far, back = (edge.curve("gamma", 0.2 + way) for way in (4e-4, -4e-4))
-    slope = (8.0 * (ahead.S[-1] - behind.S[-1]) - (far.S[-1] - back.S[-1])) / 12.0 / 2e-4
-    assert found["gamma"] == pytest.approx(slope, abs=1e-5)
-    assert max(found.errors.values()) < 1e-7
+    assert abs(found["g"] - edge.parameters["S"]) <= found.errors["g"] + edge.error < 1e-9
+    assert found["gamma"] == pytest.approx(curved(edge, "gamma", 2e-4), abs=1e-5)
+    assert max(found.errors.values()) < 1e-8
+    assert dict(alone) == pytest.approx(dict(found), rel=1e-8)
+    assert set(alone.errors.values()) == {np.inf}
+
+
+def ring(sites: int) -> Lattice:
+    """A ring whose sites all move alike in its first mode, whose bonds then do nothing."""
+    declared = [Site("a", onsite="a*y + c*y^3")], [Bond("a", "a", [1], "d + b*d^3")]
+    return Lattice([sites], *declared, "periodic", {"a": 0.3, "b": 1.0, "c": 0.2})
+
+
+def test_an_edge_of_two_equal_multipliers_is_that_of_lame_in_closed_form() -> None:
+    """w'' + (1 + 4 m + 1/(a + c A^2) - 6 m sn^2) w = 0 of waves of the ring with 4 sin^2(k/2) = 1, 6 A^2 = S.
+
+    With m = c A^2/(2 (a + c A^2)) an end of its bands is at 4 + m: 1 = 3 a + 3 c A^2/2.
+    """
+    edge = follow_family(ring(6), 1, 3.0, stability=True, tolerance=1e-9).edge(1)
+    found = edge.gradient()
+    assert edge.parameters["S"] == pytest.approx(6 * (1 - 0.9) / 0.3, rel=1e-10)
+    is_close(found, {"a": -60.0, "b": 0.0, "c": -10.0}, largest=1e-10)
+
+
+@pytest.mark.slow
+def test_an_edge_at_which_a_branch_of_the_same_class_crosses_is_interpolated() -> None:
+    """The mode of alternate sites of a ring of eight has orbits of less symmetry at the edge, at any b."""
+    edge = follow_family(ring(8), 8, 1.0, stability=True, tolerance=1e-9).edge(0)
+    found = edge.gradient()
+    assert found["b"] == pytest.approx(curved(edge, "b", 0.02), rel=1e-6)
+    # in other units of displacement b and c change together: S is proportional to their inverse
+    assert -edge.parameters["S"] == pytest.approx(found["b"] + 0.2 * found["c"], abs=1e-9)
+    assert max(found.errors.values()) < 1e-9
+
+
+@pytest.mark.slow
+def test_the_edge_at_an_extremum_of_the_energy_is_that_of_families_beside_it() -> None:
+    """The first edge of 24 sites is where the trivial multiplier meets another, in one Jordan block."""
+    edge = follow_family(Chain(24, 1.0, 0.25, -1.0), 1, 0.5, stability=True, tolerance=1e-9).edge(0)
+    found = edge.gradient()
+    assert abs(found["g"] - edge.parameters["S"]) <= found.errors["g"] + edge.error < 1e-11
+
+    def place(alpha: float, gamma: float) -> float:
+        beside = follow_family(Chain(24, alpha, gamma, -1.0), 1, 0.45, stability=True, tolerance=1e-9)
+        return min((change.value for change in beside.changes), key=lambda S: abs(S - 0.4317445))
+
+    for name in ("alpha", "gamma"):
+        known = by_differences(place, {"alpha": 1.0, "gamma": 0.25}, name, 2e-4)
+        assert found[name] == pytest.approx(known, abs=1e-8)
+    assert max(found.errors.values()) < 1e-9
+
+
+def three_oscillators() -> OdeModel:
+    """Reversible, but of no potential; two multipliers meet in the second family."""
+    x, y, w, u, v, s, k, c, a = symbols("x y w u v s k c a")
+    forces = (
+        -x - c * (x - y),
+        -1.3 * y - c * (y - x) * (1 + a * x**2) - c * (y - w),
+        -1.7 * w - c * (w - y) + a * y**2 * w,
+    )
+    rhs = ca.vertcat(*(force - k * q**3 for force, q in zip(forces, (x, y, w), strict=True)))
+    signs: dict[str, Any] = {"reversal": (1, 1, 1, -1, -1, -1), "half_period": (-1,) * 6}
+    state, velocity, parameters = ca.vertcat(x, y, w), ca.vertcat(u, v, s), ca.vertcat(k, c, a)
+    return OdeModel("three", state, rhs, parameters, 2, velocity, nominal=(-0.7, 0.3, 0.4), **signs)
+
+
+def two_springs() -> OdeModel:
+    """Even and odd forces, so half of the period is solved for: the period doubles at the edge of the first family."""
+    x, y, u, v, k, c, a = symbols("x y u v k c a")
+    forces = -x - a * x**2 - k * x**3 - c * (x - y), -1.3 * y - a * y**2 - k * y**3 - c * (y - x)
+    signs: dict[str, Any] = {"reversal": (1, 1, -1, -1), "nominal": (-0.7, 0.15, 0.2)}
+    return OdeModel("two", ca.vertcat(x, y), ca.vertcat(*forces), ca.vertcat(k, c, a), 2, ca.vertcat(u, v), **signs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("model", "mode", "to", "further"),
+    [
+        (three_oscillators(), 2, 1.2, None), (two_springs(), 1, 0.8, None),
+        (Chain(4, 0.5, 0.38, 1.0), 2, 1.0, None), (Chain(5, 0.5, 0.2, -1.0), 1, 1.1, 0.968627),
+    ],
+    ids=["no potential", "doubling", "backwards", "1:3 resonance"],
+)  # fmt: skip
+def test_edges_of_every_kind_move_along_their_curves(model: Any, mode: int, to: float, further: float | None) -> None:
+    branch = follow_family(model, mode, to, stability=True, tolerance=1e-9)
+    places = [] if further is None else [abs(one.S - further) for one in branch.stability_diagram.further]
+    edge = branch.edge(int(np.argmin(places)), further=True) if places else branch.edge(0)
+    found = edge.gradient()
+    for name, value in found.items():
+        known = curved(edge, name, 1e-3 * edge.parameters[name])
+        assert value == pytest.approx(known, abs=found.errors[name] + 1e-6 * abs(value) + 1e-7), name
+        assert found.errors[name] < 1e-9, name
 
 
 @pytest.mark.slow
