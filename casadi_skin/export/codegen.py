@@ -67,9 +67,14 @@ def c_name(words: str) -> str:
 
     Letters that are not ASCII are written as their numbers, as u3b1, so that names stay different.
     """
-    plain = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words.lower())
-    stem = re.sub(r"[^a-z0-9]+", "_", plain).strip("_") or "model"
+    stem = plain_name(words.lower()) or "model"
     return stem if stem[0].isalpha() and stem not in C_KEYWORDS | SYSTEM_HEADERS else f"m_{stem}"
+
+
+def plain_name(words: str) -> str:
+    """Words as ASCII letters, digits and single underscores; other letters by their numbers."""
+    plain = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in words)
+    return re.sub(r"[\W_]+", "_", plain, flags=re.ASCII).strip("_")
 
 
 def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[str] = LIBM_HEADERS) -> str:

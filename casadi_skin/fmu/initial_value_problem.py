@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casadi_skin.export.codegen import c_source, prototype
+from casadi_skin.export.codegen import c_source, plain_name, prototype
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import Array
@@ -53,8 +52,7 @@ class InitialValueProblem:
     @property
     def identifier(self) -> str:
         """The model's name as an identifier of C: letters, digits and single underscores, others by their numbers."""
-        plain = "".join(c if c.isascii() or not c.isalnum() else f"_u{ord(c):x}_" for c in self.model.name)
-        name = re.sub(r"[\W_]+", "_", plain, flags=re.ASCII).strip("_")[:LONGEST_NAME].strip("_") or "model"
+        name = plain_name(self.model.name)[:LONGEST_NAME].strip("_") or "model"
         return name if name[0].isalpha() else f"model_{name}"
 
 
@@ -179,8 +177,7 @@ def _linear_mode(chain: Chain, mode: int | str, S: float) -> Array:
     """Displacements of a linear mode with sum of y_n^2 = S, the largest positive."""
     if number("S", S, "a finite number >= 0") < 0:
         raise ValueError(f"S: given {S!r}; accepted: a finite number >= 0")
-    vector = chain.right_eigenvector(chain.mode_number(mode))
-    return np.asarray(vector * np.sign(vector[np.argmax(np.abs(vector))]) * np.sqrt(S) / np.linalg.norm(vector))
+    return np.asarray(np.sqrt(S) * chain.linear_spectrum().mode(chain.mode_number(mode)))
 
 
 def _of_chain(

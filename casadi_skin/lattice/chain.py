@@ -19,6 +19,7 @@ import numpy as np
 from casadi_skin.lattice import closed_forms as linear
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site
+from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.expressions import expression
 from casadi_skin.model.ode import OdeModel
@@ -134,20 +135,16 @@ class Chain(WithOwnParameters):
     def linear_frequency(self, mode: int | str) -> float:
         """Frequency omega_j of one mode; raises ValueError for a mode that is not there or does not oscillate."""
         number = self.mode_number(mode)
-        if self.infinite:
-            square = self.band()[0 if number == 1 else 1]
-        else:
-            square = float(linear.squared_frequency(self.sites, self.alpha, self.gamma, number))
+        square = self.alpha + stiffness(self.sites, self.gamma, number)
         if square <= 0:
             raise ValueError(
                 f"mode {mode} does not oscillate: omega^2 = {square:g}; accepted: alpha > {self.alpha - square:g}"
             )
-        return float(np.sqrt(square))
+        return math.sqrt(square)
 
     def band(self) -> tuple[float, float]:
         """Squared cutoffs (omega_min^2, omega_max^2) of the infinite chain's band."""
-        s = self.coupling
-        return self.alpha + 2.0 * self.gamma**2 / (1.0 + s), self.alpha + 2.0 * (1.0 + s)
+        return self.alpha + stiffness(math.inf, self.gamma, 1), self.alpha + stiffness(math.inf, self.gamma, 2)
 
     def right_eigenvector(self, mode: int) -> Array:
         """Right eigenvector of D in closed form, largest envelope 1, shape (sites,)."""

@@ -18,7 +18,7 @@ from casadi_skin.lattice.core_with_tail import CoreWithTail
 from casadi_skin.lattice.declaration import FIXED
 from casadi_skin.lattice.lattice import Core, LongLattice, nonlinear_cells
 from casadi_skin.lattice.stiffness import square_of_family
-from casadi_skin.lattice.tail import Tail, log_sums
+from casadi_skin.lattice.tail import Tail
 from casadi_skin.model.methods import EVERY_SITE, PAYS_FROM, TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.zero.coordinates import Coordinates, Localised, normalised, numbered
@@ -106,12 +106,14 @@ GAUSS_HARMONICS = 32
 
 def _continued(coefficients: Array, Omega: float, alpha: float, coupling: float, count: int) -> tuple[Array, Array]:
     """Logarithms and signs of the sum of harmonics at sites 1..count, from their coefficients at site count + 1."""
+    from scipy.special import logsumexp
+
     tail = Tail(count, np.array([[2.0 + alpha]]), coupling)
     kept = np.flatnonzero(np.abs(coefficients) > KEPT_HARMONIC_RATIO * np.max(np.abs(coefficients)))
     places = [tail.anywhere(((2 * k + 1) * Omega) ** 2) for k in kept.tolist()]
     phi = np.array([tail.angle(place) for place in places])
     logs, parts = tail.motions(places, phi, coefficients[kept], np.arange(count, 0, -1))
-    return log_sums(logs, parts[:, :, 0])
+    return logsumexp(logs, axis=0, b=parts[:, :, 0], return_sign=True)
 
 
 class OfChain:

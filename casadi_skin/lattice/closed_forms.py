@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from casadi_skin.lattice.stiffness import stiffness
+
 # The linear nonreciprocal chain in closed form (paper: Eqs. for omega_j^2, u_{j,n} and v_{j,n}) -----------------------
 
 Array = NDArray[np.float64]
@@ -39,10 +41,7 @@ def standing_wave(sites: int, mode: int) -> Array:
 
 def squared_frequency(sites: int, alpha: float, gamma: float, mode: int | NDArray[np.int64]) -> Array:
     """Squared linear frequency omega_j^2 = 2 + alpha - 2 s cos(j pi/(N+1)), shape of `mode`."""
-    angle = np.pi * np.asarray(mode) / (sites + 1)
-    # alpha + 2(1 - s) + 4 s sin^2(angle/2): no subtraction of equal numbers at the lower edge when alpha is small.
-    s = gauge_coupling(gamma)
-    return np.asarray(alpha + 2.0 * gamma**2 / (1.0 + s) + 4.0 * s * np.sin(0.5 * angle) ** 2)
+    return np.asarray(alpha + np.vectorize(stiffness, otypes=[float])(sites, gamma, mode))
 
 
 def right_eigenvector(sites: int, gamma: float, mode: int) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 
 from casadi_skin.lattice.chain import check_no_parameters
 from casadi_skin.lattice.lattice import Core, EdgeMode, LongLattice, core_model, core_of
-from casadi_skin.lattice.tail import Place, Tail, log_sums
+from casadi_skin.lattice.tail import Place, Tail
 from casadi_skin.lattice.tail_parameter import Regime, TailParameter, TailValues
 from casadi_skin.model.methods import TRIGONOMETRIC
 from casadi_skin.model.ode import OdeModel
@@ -494,6 +494,8 @@ class CoreWithTail(ModelCoordinates):
     def log_displacements(
         self, point: Point, solved: tuple[Array, Array], sites: Indices | None
     ) -> tuple[Array, Array]:
+        from scipy.special import logsumexp
+
         cells, places = self._where(sites)
         inside, logs, signs = cells < self.core.cells, np.empty(cells.size), np.empty(cells.size)
         chosen = self._in_core(cells[inside], places[inside])
@@ -501,7 +503,8 @@ class CoreWithTail(ModelCoordinates):
         if not inside.all():
             beyond, at = cells[~inside], places[~inside]
             factors, parts = self._in_tail(point.problem, point.z, beyond - self.core.cells + 1)
-            logs[~inside], signs[~inside] = log_sums(factors, parts[:, np.arange(at.size), at])
+            sums = logsumexp(factors, axis=0, b=parts[:, np.arange(at.size), at], return_sign=True)
+            logs[~inside], signs[~inside] = sums
             logs[~inside] += self._log_scale_at(beyond, at)
         return logs, signs
 

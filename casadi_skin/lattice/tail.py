@@ -485,14 +485,6 @@ def _beyond(C: Any) -> Any:
     return 1.0 / np.where(np.abs(C + root) >= np.abs(C - root), C + root, C - root)
 
 
-def log_sums(logs: Array, parts: Array) -> tuple[Array, Array]:
-    """Logarithms of the sizes of sums of parts times exp(logs) over harmonics, and the signs, shape (places,) each."""
-    largest = np.max(logs, axis=0)
-    total = np.sum(parts * np.exp(logs - largest), axis=0)
-    with np.errstate(divide="ignore"):
-        return largest + np.log(np.abs(total)), np.sign(total)
-
-
 def _functions_of(number: Any) -> Any:
     """Functions of a number, complex or not: those of numpy take ten times as long for one."""
     return cmath if isinstance(number, complex) else math

@@ -278,10 +278,8 @@ def _check_perturbation(request: Request) -> None:
 
 def check_spectrum(request: Request) -> None:
     """Raises SceneError where linear frequencies cannot be shown; those of a lattice are written as they are."""
-    from casadi_skin.zero.model_coordinates import linear_frequencies
-
     if request.scene.lattice is None:
         chain = request.scene.chain
         place = partial(placed, table="spectrum") if chain is None else f"[chain] alpha: given {chain.alpha:g}; "
         with faults_at(place):
-            linear_frequencies(request.model, request.parameters)
+            request.model.linear_frequencies(request.parameters)

@@ -233,13 +233,12 @@ def spectrum(arguments: argparse.Namespace) -> int:
     if frequencies is None:
         from casadi_skin.runs.binding import bound, check_spectrum
         from casadi_skin.runs.rules import SceneError, faults_at, placed
-        from casadi_skin.zero.model_coordinates import linear_frequencies
 
         request = bound(scene, arguments.scene)
         try:
             check_spectrum(request)
             with faults_at(partial(placed, table="lattice")):  # a run writes it all the same
-                frequencies = [float(omega) for omega in linear_frequencies(request.model, request.parameters)]
+                frequencies = [float(omega) for omega in request.model.linear_frequencies(request.parameters)]
         except SceneError as error:
             raise InputError(f"{arguments.scene}: {error}") from error
         if arguments.out is not None:

@@ -377,9 +377,7 @@ def write_spectrum(request: Request, directory: Path) -> None:
     if request.scene.lattice is not None:
         _write_lattice_spectrum(request.scene, request.model, request.parameters, directory)
         return
-    from casadi_skin.zero.model_coordinates import linear_frequencies
-
-    frequencies = linear_frequencies(request.model, request.parameters)
+    frequencies = request.model.linear_frequencies(request.parameters)
     write_columns(directory / "spectrum.csv", {"mode": np.arange(len(frequencies)) + 1, "omega": frequencies})
     picture(request.scene, directory / "spectrum", figures.spectrum_figure, request.model, request.parameters)
 

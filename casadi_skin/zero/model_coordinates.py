@@ -665,24 +665,11 @@ def of_norm_one(displacements: Array) -> Array:
     return np.asarray(displacements / np.linalg.norm(displacements) * np.sign(largest))
 
 
-def linear_frequencies(model: Any, parameters: Mapping[str, float] | None = None) -> Array:
-    """Frequencies of all linear modes in ascending order.
-
-    Arguments:
-        model: a `Chain`, or an `OdeModel` of second order with an equilibrium at 0.
-        parameters: values of the parameters of an `OdeModel`, where they are not its nominal ones.
-
-    Returns:
-        Shape (modes,).
-
-    Raises:
-        ValueError: the model has no such modes, or the lowest does not oscillate.
-    """
-    return np.asarray(model.linear_frequencies(parameters), dtype=float)
-
-
 def frequencies_of_model(model: OdeModel, parameters: Mapping[str, float] | None = None) -> Array:
-    """`linear_frequencies` of an `OdeModel`."""
+    """Frequencies of all linear modes of an `OdeModel` in ascending order, shape (modes,).
+
+    Raises ValueError where it has no such modes, or the lowest does not oscillate.
+    """
     squares = spectrum_of_model(model, parameters).squares
     if squares[0] < 0:
         words = f"mode 1 of {model.name} does not oscillate: omega^2 = {squares[0]:.6g}"
