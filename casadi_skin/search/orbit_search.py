@@ -91,8 +91,12 @@ class OrbitSearch:
             replace(c, quantity=function(f"constraints, item {item}", c.quantity))
             for item, c in enumerate((*held, *(c for c in more if c.quantity not in own)), start=1)
         ]
-        whole("cycles", cycles, 1)
-        truth("symmetric", symmetric)
+        self._begin_near(guess, period)
+
+    def _begin_near(self, guess: Guess, period: float | None) -> None:
+        """Take the states of the guess, whose units one programme has to hold together."""
+        model, cycles = self.model, whole("cycles", self.options["cycles"], 1)
+        truth("symmetric", self.options["symmetric"])
         if model.forced:
             length = cycles * model.forcing_period_at(list(self.parameters.values()))
         else:
@@ -156,7 +160,7 @@ class OrbitSearch:
             along = self.running(time, model.full_state, model.parameters[: len(self.parameters)], 0.0)
             stated["running"] = along / end
         free = (*statement.free, *self.free)
-        return replace(statement, parameters=plain.parameters, free=free, bounds=dict(self.limits), **stated)
+        return replace(statement, free=free, bounds=dict(self.limits), **stated)
 
     def _at_zero(self, plain: Orbit, function: ca.Function) -> Expression:
         """A quantity at phase zero, in the start's state and the parameters of the statement's model."""

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
+from scipy.special import ellipk
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
 from casadi_skin.search.design import Design, Ending, best_of
@@ -130,6 +131,23 @@ def lifted(name: str) -> OdeModel:
     a = ca.SX.sym(name)
     field = ca.vertcat(V, a - Q - V + ca.cos(T))
     return OdeModel("driven", ca.vertcat(Q, V), field, a, time=T, forcing_period=2 * ca.pi, nominal=(0.5,))
+
+
+def test_orbits_of_a_conservative_model_are_searched_over_the_whole_period() -> None:
+    """The unfolding of the Hamiltonian is zero but for rounding, which has no size of its own."""
+    stiffness = ca.SX.sym("mu")
+    model = OdeModel(
+        "spring", ca.vertcat(Q, V), ca.vertcat(V, -Q - stiffness * Q**3), stiffness, nominal=(1.0,),
+        hamiltonian=V**2 / 2 + Q**2 / 2 + stiffness * Q**4 / 4,
+    )  # fmt: skip
+    result = search_orbit(
+        model, guess=lambda t: [np.cos(1.3 * t), -1.3 * np.sin(1.3 * t)], period=4.8, select=Q - 1.0, section=V,
+        free=["mu"], bounds={"mu": (0.5, 2.0)}, objective="period", starts=1,
+    )  # fmt: skip
+    assert result.best.mu == pytest.approx(2.0, abs=1e-9)
+    assert result.period == result.value == pytest.approx(4.0 / np.sqrt(3.0) * ellipk(1 / 3), rel=1e-9)
+    low, high = (4.0 / np.sqrt(1.0 + mu) * ellipk(mu / (2.0 + 2.0 * mu)) for mu in (1.9999, 2.0001))
+    assert result.multipliers["mu <= 2"] == pytest.approx((high - low) / 0.0002, rel=1e-6)
 
 
 def test_a_saddle_is_no_optimum() -> None:
