@@ -8,7 +8,7 @@ of their own equations. Derivatives are those of `points.gradient`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, Self
 
@@ -77,7 +77,7 @@ class NamedNumbers:
             if self.solution is None:
                 raise AttributeError(f"given {name!r}; {accepted_names(name, self._symbols)}")
             try:
-                self.quantities[name] = self.solution.gradient(name)  # type: ignore[attr-defined]
+                self.quantities[name] = self.solution.gradient(name, errors=False)  # type: ignore[attr-defined]
             except ValueError as error:
                 raise AttributeError(str(error)) from None
             self._symbols[name] = ca.SX.sym(name)
@@ -97,11 +97,14 @@ class LocatedSolution:
     expressions: NamedNumbers
     over: tuple[str, ...]
 
+    def gradients(self, errors: bool = False) -> dict[str, Gradient]:
+        """The gradients of its quantities; their errors take most of the time, and are asked for at the end."""
+        return {name: self.solution.gradient(name, errors=errors) for name in self.expressions.quantities}
+
     @cached_property
     def _gradients(self) -> dict[str, Gradient]:
         start = self.expressions.solution is self.solution
-        found = self.expressions.quantities
-        return found if start else {name: self.solution.gradient(name) for name in found}
+        return self.expressions.quantities if start else self.gradients()
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -114,27 +117,30 @@ class LocatedSolution:
         known = {**self.values, **{name: one.value for name, one in self._gradients.items()}}
         return np.array([known[name] for name in self.expressions.names])
 
-    def _table(self, errors: bool) -> Array:
-        """Derivatives of the numbers by the parameters of designs, or their errors."""
+    def _table(self, known: Mapping[str, Mapping[str, float]], own: float) -> Array:
+        """Derivatives of the numbers by the parameters of designs, or their errors; `own` that of a parameter."""
         found = np.zeros((len(self.expressions.names), len(self.over)))
         for row, name in enumerate(self.expressions.names):
-            if name in self._gradients:
-                known = self._gradients[name].errors if errors else self._gradients[name]
-                found[row] = [known.get(parameter, 0.0) for parameter in self.over]
-            elif name in self.over and not errors:
-                found[row, self.over.index(name)] = 1.0
+            if name in known:
+                found[row] = [known[name].get(parameter, 0.0) for parameter in self.over]
+            elif name in self.over:
+                found[row, self.over.index(name)] = own
         return found
 
     @cached_property
     def derivatives(self) -> Array:
-        return self._table(errors=False)
+        return self._table(self._gradients, 1.0)
+
+    @property
+    def _errors(self) -> Array:
+        return self._table({name: one.errors for name, one in self.gradients(errors=True).items()}, 0.0)
 
     @cached_property
     def errors(self) -> tuple[Array, Array]:
         relative = max(self.solution.error, self.solution.parameter_error if self.solution.space.free else 0.0)
         known = self._gradients
         sizes = [abs(known[name].value) if name in known else 0.0 for name in self.expressions.names]
-        return relative * np.array(sizes), self._table(errors=True)
+        return relative * np.array(sizes), self._errors
 
     finer: ClassVar[None] = None
 
@@ -143,7 +149,7 @@ class LocatedSolution:
         if not own:
             return self
         name, value = next(iter(own.items()))
-        space = solution.space.branch_space(solution, name, value + max(1.0, abs(value)), (), None)
+        space = solution.space.branch_space(solution, name, value + (abs(value) or 1.0), (), None)
         if solution.is_equilibrium:
             space = replace(space, statics=space.statics.at({**space.statics.values, **own}))
         else:
@@ -157,36 +163,31 @@ class LocatedSolution:
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoint(LocatedSolution):
-    """A special point at a design: its numbers are all parameters, that in which it was found among them.
-
-    `last` are its derivatives at the last design, by which it is predicted before it has its own.
-    """
+    """A special point at a design: its numbers are all parameters, that in which it was found among them."""
 
     solution: SpecialPoint
-    last: Mapping[str, float] = field(default_factory=dict)
 
-    @cached_property
-    def _gradients(self) -> dict[str, Gradient]:
-        return {self.solution.parameter: self.solution.gradient()}
+    def gradients(self, errors: bool = False) -> dict[str, Gradient]:
+        return {self.solution.parameter: self.solution.gradient(errors=errors)}
 
     @cached_property
     def errors(self) -> tuple[Array, Array]:
         own = [self.solution.error if name == self.solution.parameter else 0.0 for name in self.expressions.names]
-        return np.array(own), self._table(errors=True)
+        return np.array(own), self._errors
 
     def near(self, values: Mapping[str, float]) -> Self | None:
         point = self.solution
         own = {n: v for n, v in values.items() if n in point.parameters and n != point.parameter}
-        last = self._gradients[point.parameter] if "_gradients" in vars(self) else self.last
-        moved = sum(last.get(name, 0.0) * (value - point.parameters[name]) for name, value in own.items())
         try:
+            slopes = self._gradients[point.parameter]
+            moved = sum(slopes[name] * (value - point.parameters[name]) for name, value in own.items())
             if point.kind == EDGE:
                 found = _moved_edge(point, own)
             else:
                 found = (_moved_rest if point.solution.is_equilibrium else _moved_orbit)(point, own, moved)
         except (ArithmeticError, RuntimeError, ValueError):
             return None
-        return None if found is None else replace(self, solution=found, last=last)
+        return None if found is None else replace(self, solution=found)
 
 
 def _moved_rest(point: SpecialPoint, values: Mapping[str, float], moved: float) -> SpecialPoint | None:
