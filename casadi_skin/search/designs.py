@@ -3,17 +3,17 @@
     minimise f(p, x_1(p), ..., x_m(p))  over p within bounds,  c_low <= c(p, x_1(p), ..., x_m(p)) <= c_high,
 
 where x_i(p) are quantities of special points, orbits and equilibria that are located again at every p, by continuation
-from the last design. Their derivatives by p are those of the equations that they solve, no differences of solutions;
-f and c are CasADi expressions in p and x. SLSQP: Kraft (1988), by scipy, in variables scaled by their ranges. Its end
+from the nearest known design. Their derivatives by p are those of the equations that they solve, no differences; f and
+c are CasADi expressions in p and x. SLSQP: Kraft (1988), by scipy, in variables scaled by their ranges. Its end
 is an optimum where the conditions of Karush, Kuhn and Tucker hold, with multipliers by non-negative least squares.
+Where constraints cannot be met, it is the design with the least sum of squares of violations over their `heights`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
+from itertools import chain, repeat, takewhile
 from typing import Any
 
 import casadi as ca
@@ -28,13 +28,16 @@ from casadi_skin.search.located import LocatedThing
 from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.problem import EPSILON, Array
 
-MOST_ITERATIONS = 1000  # of SLSQP
-# Of the scaled objective, at which SLSQP ends; it starts again where that is no optimum yet. Near one it wanders.
-ACCURACIES = (1e-10, 1e-12, 1e-14, 1e-16)
+MOST_ITERATIONS, MORE_ITERATIONS = 40, 10  # of SLSQP, and as many for each parameter
+MOST_RUNS = 3  # of SLSQP, which starts again where it ends at no optimum
+MOST_KNOWN = 16  # designs that are kept, of which the nearest is where the next is located from
+ACCURACY = 1e-16  # of the scaled objective, at which SLSQP ends by itself; what is sought ends it before
 OPTIMAL, SOUGHT = 1e-7, 2e-8  # of the largest scaled gradient: what an optimum may leave, and what is sought
+FLAT = 1e-2  # of a constraint's largest gradient and value, below which a gradient does not say what is small
 NEAR_BOUND = 1e-7  # of its range: a number at its bound
 RESTORING_STEPS = 2  # of Newton's method on active constraints, from an end of SLSQP
 SHORTEST_SHARE = 2.0**-12  # of the way between two designs: the smallest step of the continuation
+FAR_OFF, FALLING, PATIENCE = 1e-3, 0.9, 8  # violations above the first that do not fall to this share in so many steps
 FAR_WORSE = 1e10  # the scaled objective where not everything is located
 
 
@@ -100,15 +103,15 @@ def best_design(
 class Bound:
     """An active bound or constraint, in words, and the normal that points to its inner side, in scaled parameters.
 
-    `row` is that of the constraint, 0 of a parameter, and `gap` how far inside the design is; `unit` turns a weight
-    into the derivative of the value by it.
+    `row` is that of the constraint, 0 of a parameter, and `gap` how far inside the design is; `side` is -1 of an upper
+    bound.
     """
 
     words: str
     normal: Array
     row: int
     gap: float
-    unit: float
+    side: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,48 +129,75 @@ class Conditions:
         return self.optimality <= OPTIMAL and self.violation <= FEASIBLE
 
 
+class Sought(Exception):  # noqa: N818
+    """Ends SLSQP."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """What is located at a design p, and objective and constraints there."""
+
+    p: Array
+    things: tuple[LocatedThing, ...]
+    rows: Rows | None = None
+
+
 class Search:
     """The designs from one start on."""
 
     def __init__(self, problem: DesignProblem, progress: Callable[[str], None] | None) -> None:
         function_of("progress", progress, "words")
         self.problem, self.progress, self.sign = problem, progress, -1.0 if problem.maximise else 1.0
-        self.things, self.at = problem.things, np.repeat(problem.values, problem.counts)
+        self.known = [Place(np.repeat(problem.values, problem.counts), problem.things)]
         self.path, self.values = list[Array](), list[float]()
-        self.size = 0.0  # of the largest scaled gradient on the way
-        self._last: tuple[Array, Rows] = np.empty(0), (np.empty(0), np.empty((0, 0)))
+        self.limits = np.array([row[1:] for row in problem.rows]).reshape(-1, 2).T  # of the constraints
+        self.sizes = np.zeros(1 + len(problem.rows))  # of the largest scaled gradients on the way
+        self.first = np.empty(0)  # heights at the first design
+        self.infeasible = False  # whether the constraints cannot be met near the last end
 
     # Designs --------------------------------------------------------------------------------------------------------
 
-    def moved(self, p: Array) -> bool:
-        """Locate everything at p, by continuation from the last design, in halved steps where one is too long."""
-        start, done, share, things = self.at, 0.0, 1.0, self.things
+    @property
+    def last(self) -> Place:
+        """The last design."""
+        return self.known[-1]
+
+    def moved(self, p: Array) -> tuple[LocatedThing, ...] | None:
+        """Everything at p, by continuation from the nearest known design, in halved steps where one is too long."""
+        near = min(self.known, key=lambda place: float(np.linalg.norm((place.p - p) / self.problem.scales)))
+        start, done, share, things = near.p, 0.0, 1.0, near.things
         while done < 1.0 and np.any(p != start):
             check_time_limit(f"design {len(self.path) + 1}")
             ahead = min(1.0, done + share)
             to = p if ahead == 1.0 else start + ahead * (p - start)
             values = dict(zip(self.problem.over, to.tolist(), strict=True))
-            near: Any = tuple(takewhile(lambda thing: thing is not None, (thing.near(values) for thing in things)))
-            if len(near) == len(things):
-                done, share, things = ahead, 2.0 * share, near
+            moved: Any = tuple(takewhile(lambda thing: thing is not None, (thing.near(values) for thing in things)))
+            if len(moved) == len(things):
+                done, share, things = ahead, 2.0 * share, moved
                 continue
             share *= 0.5
             if share < SHORTEST_SHARE:
-                return False
-        self.things, self.at = things, p
-        return True
+                return None
+        return things
 
     def rows(self, p: Array) -> Rows | None:
         """Objective and constraints at p; None where not everything is located there."""
-        if np.array_equal(p, self._last[0]):
-            return self._last[1]
-        if not self.moved(p):
+        for k, place in enumerate(self.known):
+            if place.rows is not None and np.array_equal(p, place.p):
+                self.known.append(self.known.pop(k))
+                return place.rows
+        things = self.moved(p)
+        if things is None:
             return None
-        found = rows, slopes = self.problem.evaluated(self.things)
+        found = rows, slopes = self.problem.evaluated(things)
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(slopes))):
             return None
-        self.size = max(self.size, float(np.max(np.abs(slopes[0] * self.problem.scales))))
-        self._last = p.copy(), found
+        self.sizes = np.maximum(self.sizes, np.max(np.abs(slopes * self.problem.scales), axis=1))
+        self.known = [
+            *(place for place in self.known[-MOST_KNOWN:] if place.rows is not None),
+            Place(p.copy(), things, found),
+        ]
+        self.first = self.first if self.first.size else self.heights(found)
         self.path.append(p.copy())
         self.values.append(float(rows[0]))
         if self.progress is not None:
@@ -177,36 +207,39 @@ class Search:
 
     def optimum(self, p: Array, tolerance: float) -> Design:
         """The end of SLSQP, on finer discretisations until it is at the tolerance."""
-        if self.rows(p) is None:
-            return self._design(p)
-        while True:
+        while self.rows(p) is not None:
             p, words = self._solved(p)
-            conditions, finer = self.conditions(p), [thing.finer for thing in self.things]
-            error, slope_error = self._errors(conditions)
-            if error <= tolerance * max(1.0, abs(self._last[1][0][0])) or all(thing is None for thing in finer):
+            conditions, things = self.conditions(p), self.last.things
+            finer, (error, slope_error) = [thing.finer for thing in things], self._errors(conditions)
+            if error <= tolerance * max(map(abs, self.values)) or all(thing is None for thing in finer):
                 return self._optimum(p, conditions, (error, slope_error), words)
-            self.things = tuple(two or one for one, two in zip(self.things, finer, strict=True))
-            self._last = np.empty(0), self._last[1]
-            if self.rows(p) is None:
-                return self._design(p)
+            self.known = [Place(p, tuple(two or one for one, two in zip(things, finer, strict=True)))]
+        return self._design(p)
 
-    # SLSQP, in x = p/scales, with objective and constraints over the sizes of their first gradients -------------------
+    # SLSQP, in x = p/scales, with objective and constraints over the sizes of their gradients -------------------------
 
     def _solved(self, p: Array) -> tuple[Array, str]:
-        """The best end of SLSQP, which starts again while that is no optimum; its last words."""
-        ends = list[tuple[bool, float, Array, str]]()
-        if not self.size:  # the gradient vanishes at the start: its size is that where constraints are met nearby
+        """The best end of SLSQP, with its last words; of constraints that cannot be met the design of least violation.
+
+        It starts again from an end that is no optimum, and from the nearest design where constraints are not met.
+        """
+        ends, words = list[tuple[float, Array, str]](), ""
+        if not self.sizes[0]:  # the gradient vanishes at the start: its size is that where constraints are met nearby
             self._on_constraints(p)
-        for accuracy in ACCURACIES:
-            p, words = self._run(p, accuracy)
-            p = self._on_constraints(p)
+        for _ in range(MOST_RUNS):
+            if not self.infeasible:
+                p, words = self._run(p)
+                p = self._on_constraints(p)
+            if self.conditions(p).violation > FEASIBLE:
+                p, _ = self._run(p, nearest=True)
+                restored = self._on_constraints(p)
+                p = restored if self.conditions(restored).violation <= FEASIBLE else p
             conditions = self.conditions(p)
-            ends.append((conditions.violation > FEASIBLE, conditions.optimality, p, words))
-            if conditions.holds and conditions.optimality <= SOUGHT:
+            self.infeasible = conditions.violation > FEASIBLE
+            ends.append((conditions.optimality, p, words))
+            if self.infeasible or conditions.optimality <= SOUGHT:
                 break
-        violated, _, p, words = min(ends, key=lambda end: end[:2])
-        if violated:
-            p, _ = self._run(p, ACCURACIES[-1], constrained=False)
+        _, p, words = ends[-1] if self.infeasible else min(ends, key=lambda end: end[0])
         self.rows(p)
         return p, words
 
@@ -220,47 +253,76 @@ class Search:
                 p = moved if self.rows(moved) is not None else p
         return p
 
-    def _run(self, p: Array, accuracy: float, constrained: bool = True) -> tuple[Array, str]:
-        """Where SLSQP ends, with its last words; without constraints half the sum of squares of these is least."""
+    def _run(self, p: Array, nearest: bool = False) -> tuple[Array, str]:
+        """Where SLSQP ends, with its last words; or the design `nearest` to the constraints, by their violations."""
         from scipy.optimize import minimize
 
-        scales, (low, high), first = self.problem.scales, self.problem.ends, self.rows(p)
+        first, scales, ends, (lows, highs) = self.rows(p), self.problem.scales, self.problem.ends, self.limits
         assert first is not None
-        last, factor, offset = first, self.sign / (self.size or 1.0), first[0][0]
-        lows, highs = (np.array([row[k] for row in self.problem.rows]) for k in (1, 2))
+        last: Rows = first
+        heights = self.first if nearest else self.heights(last)
+        factor, offset, tried = self.sign / (self.sizes[0] or 1.0), first[0][0], p
+        unit, missed = 1.0, list[float]()
 
-        def at(x: Array) -> tuple[Rows, bool]:
-            """The rows at x, those of the last design where it is not located."""
+        def at(x: Array) -> tuple[Array, Array, bool]:
+            """The rows at x and their derivatives by it, those of the last design where it is not located."""
             nonlocal last
-            found = self.rows(np.clip(x * scales, low, high))
+            found = self.rows(np.clip(x * scales, *ends))
             last = last if found is None else found
-            return last, found is not None
+            return last[0], last[1] * scales, found is not None
 
         def value(x: Array) -> Any:
-            (rows, slopes), there = at(x)
-            if constrained:
-                return factor * (rows[0] - offset) if there else FAR_WORSE, factor * slopes[0] * scales
-            off = np.maximum(rows[1:] - highs, 0.0) - np.maximum(lows - rows[1:], 0.0)
-            return 0.5 * (off @ off) if there else FAR_WORSE, off @ slopes[1:] * scales
+            """The objective; or half the sum of squares of violations, over that at the start."""
+            rows, slopes, there = at(x)
+            if not nearest:
+                return factor * (rows[0] - offset) if there else FAR_WORSE, factor * slopes[0]
+            off = (np.maximum(rows[1:] - highs, 0.0) - np.maximum(lows - rows[1:], 0.0)) / heights
+            return off @ off / (2.0 * unit) if there else FAR_WORSE, (off / heights) @ slopes[1:] / unit
 
-        constraints = list[dict[str, Any]]()
-        for row, (_, lower, upper) in enumerate(self.problem.rows if constrained else (), start=1):
-            height = float(np.max(np.abs(first[1][row] * scales))) or 1.0
-            for bound, side in ((lower, 1.0 / height), (upper, -1.0 / height)):
-                if math.isfinite(bound) and not (lower == upper and side < 0.0):
-                    kind = "eq" if lower == upper else "ineq"
-                    fun: Any = lambda x, k=row, b=bound, s=side: s * (at(x)[0][0][k] - b)  # noqa: E731
-                    jac: Any = lambda x, k=row, s=side: s * at(x)[0][1][k] * scales  # noqa: E731
-                    constraints.append({"type": kind, "fun": fun, "jac": jac})
+        def stop(x: Array) -> None:
+            """Ends SLSQP where a design that it tries is what is sought, and where violations do not fall."""
+            nonlocal tried
+            tried = np.clip(x * scales, *ends)
+            if nearest or self.rows(tried) is None:
+                return
+            conditions = self.conditions(tried)
+            missed.append(conditions.violation)
+            waits = len(missed) > PATIENCE and min(missed[-PATIENCE:]) > max(FALLING * min(missed[:-PATIENCE]), FAR_OFF)
+            if waits or (missed[-1] <= FEASIBLE and conditions.optimality <= SOUGHT):
+                raise Sought
+
+        unit = value(p / scales)[0] or 1.0 if nearest else 1.0
+        equal, constraints = lows == highs, list[dict[str, Any]]()
+        rows = np.arange(1, lows.size + 1)
+        for kind, which, bounds, side in (
+            ("eq", equal, lows, 1.0), ("ineq", np.isfinite(lows) & ~equal, lows, 1.0),
+            ("ineq", np.isfinite(highs) & ~equal, highs, -1.0),
+        ):  # fmt: skip
+            k, b, c = rows[which], bounds[which], side / heights[which]
+            if k.size and not nearest:
+                fun: Any = lambda x, k=k, b=b, c=c: c * (at(x)[0][k] - b)  # noqa: E731
+                jac: Any = lambda x, k=k, c=c: c[:, None] * at(x)[1][k]  # noqa: E731
+                constraints.append({"type": kind, "fun": fun, "jac": jac})
         solve: Any = minimize  # its stub wants arguments of every method
-        result = solve(
-            value, p / scales, jac=True, method="SLSQP", bounds=list(zip(low / scales, high / scales, strict=True)),
-            constraints=constraints, options={"ftol": accuracy, "maxiter": MOST_ITERATIONS},
-        )  # fmt: skip
-        end = np.clip(result.x * scales, low, high)
-        return (end if self.rows(end) is not None else self.at), " ".join(str(result.message).split())
+        try:
+            result = solve(
+                value, p / scales, jac=True, method="SLSQP", bounds=(ends / scales).T, constraints=constraints,
+                callback=stop, options={"ftol": ACCURACY, "maxiter": MOST_ITERATIONS + MORE_ITERATIONS * p.size},
+            )  # fmt: skip
+            end, words = np.clip(result.x * scales, *ends), " ".join(str(result.message).split())
+        except Sought:
+            end, words = tried, "violations do not fall"
+        return (end if self.rows(end) is not None else self.last.p), words
 
     # Conditions of optimality ---------------------------------------------------------------------------------------
+
+    def heights(self, found: Rows) -> Array:
+        """Sizes of constraints, in which violations are measured: of their scaled gradients, and a part of values."""
+        rows, slopes = found[0][1:], found[1][1:] * self.problem.scales
+        ends = np.where(np.isfinite(self.limits), np.abs(self.limits), np.abs(rows))
+        flat = FLAT * np.maximum(self.sizes[1:], np.max([*ends, np.abs(rows)], axis=0))
+        heights = np.maximum(np.max(np.abs(slopes), axis=1), flat)
+        return np.where(heights > 0.0, heights, 1.0)
 
     def conditions(self, p: Array) -> Conditions:
         """The conditions of Karush, Kuhn and Tucker at a design: gradient = sum of normals times weights >= 0."""
@@ -268,20 +330,21 @@ class Search:
 
         problem, found = self.problem, self.rows(p)
         assert found is not None
-        (rows, slopes), size = (found[0], found[1] * problem.scales), self.size or 1.0
+        (rows, slopes), size = (found[0], found[1] * problem.scales), self.sizes[0] or 1.0
         active, violation, worst = list[Bound](), 0.0, ""
-        for k, (name, scale, *ends) in enumerate(zip(problem.over, problem.scales, *problem.ends, strict=True)):
-            for end, side, sign in zip(ends, (1.0, -1.0), (">=", "<="), strict=True):
-                if abs(p[k] - end) <= NEAR_BOUND * scale:
-                    active.append(Bound(f"{name} {sign} {end:.10g}", side * np.eye(p.size)[k], 0, 0.0, side / scale))
-        for row, (name, lower, upper) in enumerate(problem.rows, start=1):
-            height, gap = max(1.0, float(np.max(np.abs(slopes[row])))), max(lower - rows[row], rows[row] - upper, 0.0)
+        own = zip(repeat(0), problem.over, p, np.diag(problem.scales), problem.scales, *problem.ends)
+        names = [name for name, *_ in problem.rows]
+        constraints = zip(
+            range(1, rows.size), names, rows[1:], slopes[1:], self.heights(found), *self.limits, strict=True
+        )
+        for row, name, value, normal, height, *ends in chain(own, constraints):
+            gap = max(ends[0] - value, value - ends[1], 0.0)
             if gap / height > violation:
                 violation, worst = gap / height, f"{name} is off by {gap:.3g}"
-            for end, side, sign in ((lower, 1.0, ">="), (upper, -1.0, "<=")):
-                if side * (rows[row] - end) <= NEAR_BOUND * height:
-                    words = f"{name} {'=' if lower == upper else sign} {end:.10g}"
-                    active.append(Bound(words, side * slopes[row], row, side * (rows[row] - end), side))
+            for end, side, sign in zip(ends, (1.0, -1.0), (">=", "<="), strict=True):
+                if side * (value - end) <= NEAR_BOUND * height:
+                    words = f"{name} {'=' if ends[0] == ends[1] else sign} {end:.10g}"
+                    active.append(Bound(words, side * normal, row, side * (value - end), side))
         left, weights = self.sign * slopes[0], np.zeros(len(active))
         if active:
             normals = np.array([bound.normal for bound in active]).T
@@ -293,15 +356,18 @@ class Search:
 
     def _errors(self, conditions: Conditions) -> tuple[float, float]:
         """Estimated errors of the value, also by what the constraints are off by, and of the optimality."""
-        rows, slopes = self.problem.errors(self.things)
-        held = sum(weight * (rows[bound.row] + abs(bound.gap)) for bound, weight in conditions.bounds if bound.row)
-        left = float(np.max(slopes[0] * self.problem.scales)) / (self.size or 1.0)
+        rows, slopes = self.problem.errors(self.last.things)
+        held = sum(
+            weight * (rows[bound.row] + (0.0 if self.infeasible else abs(bound.gap)))
+            for bound, weight in conditions.bounds if bound.row
+        )  # fmt: skip
+        left = float(np.max(slopes[0] * self.problem.scales)) / (self.sizes[0] or 1.0)
         return float(rows[0] + held + EPSILON * abs(self.values[-1])), left
 
     def _optimum(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
-        problem, multipliers = self.problem, dict[str, float]()
+        problem, multipliers, (_, things, rows) = self.problem, dict[str, float](), vars(self.last).values()
         for bound, weight in conditions.bounds:
-            multipliers[bound.words] = multipliers.get(bound.words, 0.0) + self.sign * bound.unit * weight
+            multipliers[bound.words] = multipliers.get(bound.words, 0.0) + self.sign * bound.side * weight
         ending, reason = Ending.FOUND, optimum_words(multipliers)
         if conditions.violation > FEASIBLE:
             ending = Ending.INFEASIBLE
@@ -309,15 +375,15 @@ class Search:
         elif not conditions.holds:
             ending = Ending.NO_OPTIMUM
             reason = f"{ending.value}, {conditions.optimality:.1e} of the gradient is left: {words}"
-        values = np.split(self._last[1][0][1:], np.cumsum(problem.sizes)[:-1]) if problem.sizes else []
+        values = np.split(rows[0][1:], np.cumsum(problem.sizes)[:-1]) if problem.sizes else []
         return replace(
-            self._design(p), value=float(self._last[1][0][0]), error=errors[0],
-            located=tuple(thing.solution for thing in self.things),
-            quantities=tuple(quantities_of(thing) for thing in self.things),
+            self._design(p), value=float(rows[0][0]), error=errors[0],
+            located=tuple(thing.solution for thing in things),
+            quantities=tuple(quantities_of(thing) for thing in things),
             conditions={c.name: part for c, part in zip(problem.conditions, values, strict=True)},
             multipliers=multipliers, optimality=conditions.optimality, optimality_error=errors[1],
             violation=conditions.violation, path=np.array([*self.path, p]),
-            values=np.array([*self.values, self._last[1][0][0]]), status=ending,
+            values=np.array([*self.values, rows[0][0]]), status=ending,
             reason=f"{reason}; {len(self.path)} designs",
         )  # fmt: skip
 

@@ -407,7 +407,27 @@ def test_constraints_that_cannot_be_met_are_named_at_the_nearest_design() -> Non
     nearest = member().Omega  # Omega grows with S: the end is nearest
     assert not result.found
     assert result["S"] == pytest.approx(1.0)
+    assert len(result.path) <= 10
     assert f"the constraints are not met; Omega is off by {4.0 - nearest:.3g} at the nearest design" in result.reason
+
+
+def test_the_nearest_design_has_the_least_violation(hopf: Any) -> None:
+    """Of a Hopf point that is to come before the least r, and of a slope that is to vanish: where each is least."""
+    b = 8 / 3
+    sigma = b + 1 + np.sqrt((b + 1) * (2 * b + 4))
+    wide = {"over": ["sigma"], "bounds": {"sigma": (5, 40)}}
+    least = optimise("Omega_slope", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)})
+    for lower in (None, 20.0):
+        result = optimise(lambda h: h.sigma, hopf, subject_to=[("r", lower, 20.0)], **wide)
+        assert not result.found
+        assert result["sigma"] == pytest.approx(sigma, abs=1e-6)
+        assert len(result.path) <= 100
+        assert f"r is off by {hopf_of(sigma, b) - 20.0:.3g} at the nearest design" in result.reason
+        steady = optimise("gamma", member(), over=["gamma"], bounds={"gamma": (0.2, 0.8)},
+                          subject_to=[("Omega_slope", lower and 0.0, 0.0)])  # fmt: skip
+        assert not steady.found
+        assert steady["gamma"] == pytest.approx(least["gamma"], abs=1e-6)
+        assert len(steady.path) <= 100
 
 
 def test_a_flat_direction_is_an_optimum_where_it_is() -> None:
