@@ -75,9 +75,9 @@ def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
         axes_of(scene)
     if scene.spectrum is not None:
         check_spectrum(request)
-    if scene.design is not None and not scene.design.of:
+    if scene.design is not None:
         with faults_at("[design] "):
-            request.designed()  # made, and so checked
+            request.check_design()
     return request
 
 

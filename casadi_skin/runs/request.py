@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import asdict
 
-from casadi_skin.model.arguments import state_by_name
+from casadi_skin.model.arguments import check_name, state_by_name
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.runs.rules import faults_at, refusal
 from casadi_skin.runs.scene import CONSERVED, Scene
 from casadi_skin.zero.family import FamilyRequest, Method, Targets
+from casadi_skin.zero.kinds import EQUILIBRIUM_CURVES, ORBIT_CURVES
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -110,14 +111,37 @@ class Request:
         from casadi_skin.search.design_problem import DesignProblem, family_starts
 
         table: Any = self.scene.design
-        constraints = [
-            (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
-            for held in table.subject_to
-        ]
         amplitudes = table.S if isinstance(table.S, tuple) else (table.S or 1.0,)
         of = points or family_starts(self.model, table.mode, amplitudes, self.model_parameters, self.tolerance)
         bounds = {name: [*ends] for name, ends in table.bounds.items()}
-        return DesignProblem.of(table.quantity, list(of), table.over, constraints, bounds, table.maximise)
+        return DesignProblem.of(table.quantity, list(of), table.over, self._held, bounds, table.maximise)
+
+    @property
+    def _held(self) -> list[tuple[Any, ...]]:
+        """Constraints of [design], each a quantity with its bounds."""
+        return [
+            (held.quantity, *((held.equal, held.equal) if held.equal is not None else (held.lower, held.upper)))
+            for held in self.scene.design.subject_to  # type: ignore[union-attr]
+        ]
+
+    def check_design(self) -> None:
+        """Check [design] before its special points are located; raises ValueError and TypeError as `designed` does."""
+        from casadi_skin.search.conditions import checked_bounds, checked_conditions, free_names
+
+        table: Any = self.scene.design
+        if not table.of:
+            self.designed()
+            return
+        for kind, number in map(kind_and_number, table.of):
+            check_name("of", kind, dict.fromkeys((*EQUILIBRIUM_CURVES, *ORBIT_CURVES)))
+            if number < 1:
+                raise ValueError(f"of: given '{kind} {number}'; accepted: a kind with its number from 1")
+        parameter: Any = self.scene.continuation.parameter  # type: ignore[union-attr]
+        names = [name for name in self.equations.parameter_names if name != parameter]
+        over = free_names(table.over, names, "over")
+        held = [name for name in names if name not in over]
+        checked_bounds(table.bounds, dict.fromkeys(over, (-np.inf, np.inf)), held, [parameter])
+        checked_conditions(self._held, (), "", "subject_to")
 
     @property
     def options(self) -> dict[str, Any]:
@@ -135,3 +159,9 @@ class Request:
     def condition(self, given: Mapping[str, float] | None) -> Expression | None:
         """What vanishes where a quantity has its value, from a table with one number by its name."""
         return next((self.quantity(name) - value for name, value in (given or {}).items()), None)
+
+
+def kind_and_number(name: str) -> tuple[str, int]:
+    """The kind of a special point and its number among those of the kind, from 1: "fold 2", or "fold" for the first."""
+    kind, _, last = name.rpartition(" ")
+    return (kind, int(last)) if last.isdecimal() else (name, 1)

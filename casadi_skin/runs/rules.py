@@ -249,6 +249,7 @@ def _of_what(s: Seen) -> Rules:
         without = not (s.family or s.collocated or cycles) and "without [family], [orbit] or [solution]"
         yield "stability", without, f"{others}, whose stability it asks for"
         yield "stability gradient", not s.family and " without [family]", "beside a [family]"
+        yield "stability gradient", not s.stability.events and " without events", "with events = true"
         yield "stability sites", not s.family and " without [family]", "beside a [family] of a chain"
     if s.continuation:
         accepted = "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows"
@@ -412,7 +413,8 @@ def _of_design(s: Seen) -> Rules:
     yield "design of", s.continuation and MISSING, "the kinds of special points of [continuation]"
     yield "design", beside and not s.continuation and "without [continuation]", "beside it special points of its branch"
     for name in ("mode", "S"):
-        yield f"design {name}", beside, "without [equilibrium] and [orbit], of a family"
+        where = " beside [equilibrium] or [orbit]"
+        yield f"design {name}", beside and where, "without them, of a family"
     for item, held in enumerate(design.subject_to, start=1):
         place = f"[design] subject_to, item {item}"
         if (held.equal is None) == (held.lower is None and held.upper is None):
@@ -448,6 +450,7 @@ def _of_map(s: Seen) -> Rules:
         return
     tasks = "beside [family], [equilibrium], [orbit], [solution] or [design]"
     yield "map", not s.scene.given(*MAPPED_TASKS) and "with a scene that asks for no solution", tasks
+    yield "map", s.design and s.design.of and "beside a [design] of special points", "beside one of a family"
     if not table.axes:
         yield f"[map]: no axis; accepted: a parameter of the scene with {ACCEPTED_AXES}"
     yield "map growth", table.growth and not s.stability and " without [stability]", "beside [stability]"

@@ -28,7 +28,7 @@ from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import EXPORT_FOLDER
 from casadi_skin.runs.output import Lines
 from casadi_skin.runs.parts import mode_of, origin, picture
-from casadi_skin.runs.request import Request
+from casadi_skin.runs.request import Request, kind_and_number
 from casadi_skin.runs.scene import DesignTable, DynamicsTable, ExportTable, Scene
 from casadi_skin.search.design import ENGINE, Design
 
@@ -359,8 +359,7 @@ class BestDesign(Task):
 
 def _special_point(name: str, branches: Sequence[Branch]) -> SpecialPoint:
     """A special point of the first branch, by its kind and its number from 1; raises ValueError for others."""
-    kind, _, last = name.rpartition(" ")
-    kind, number = (kind, int(last)) if last.isdecimal() else (name, 1)
+    kind, number = kind_and_number(name)
     points = [point for branch in branches[:1] for point in branch.special_points]
     found = [point for point in points if point.kind == kind]
     if not 1 <= number <= len(found):
