@@ -10,9 +10,9 @@ crossing of one family may lie on closed curves apart from the others, isolas, w
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -206,10 +206,9 @@ def _excess(lattice: Lattice, frequency: str, orbit: Orbit) -> tuple[float, floa
 
 BALANCE_TOLERANCE = 1e-12
 LARGEST_S = 1e4  # up to which a threshold is looked for
-THRESHOLD_STEP = 1e-3  # of a parameter, of differences of thresholds
-# Places and weights of differences with steps h, 2 h, 4 h: of order h^4 by the shorter two, and by the longer two.
-DIFFERENCE_PLACES = 1.0, -1.0, 2.0, -2.0, 4.0, -4.0
-DIFFERENCE_WEIGHTS = np.repeat([[8.0, -1.0, 0.0], [0.0, 4.0, -0.5]], 2, axis=1) * np.tile([1.0, -1.0], 3) / 12.0
+COMPLEX_STEP = 1e-30  # imaginary: derivatives without subtraction
+# Sites and harmonics beyond those of an orbit at a threshold, and times what they change in derivatives: their error.
+MORE_TERMS, MORE_TERMS_SAFETY = 4, 8.0
 
 
 @in_turn
@@ -219,42 +218,90 @@ def threshold(chain: Chain) -> float:
     Depends on alpha, gamma and g alone. Raises ValueError where there is no such family (see `chain_coordinates`), and
     ArithmeticError where it is not found.
     """
-    if chain.g == 0:
-        raise ValueError("g: given 0; accepted: not 0 (frequencies of a linear chain do not move)")
-    amplitude_max = 1.0
-    while amplitude_max <= LARGEST_S:
-        found = _threshold_to(chain, amplitude_max / abs(chain.g))
-        if found is not None:
-            return found
-        amplitude_max *= 10.0
-    raise ArithmeticError(f"threshold: the frequency does not leave the band up to |g| S = {LARGEST_S:g}")
+    coordinates, point = _born(chain)
+    return float(coordinates.S_of(point.parameter))
 
 
 @in_turn
 def threshold_gradient(chain: Chain) -> Gradient:
     """The derivatives of the threshold by alpha, gamma and g, with their errors.
 
-    It is proportional to 1/|g|. By alpha and gamma they are central differences of thresholds, which are known to 12
-    digits: differences of their equations, with Omega held, had no more, as alpha and gamma are numbers in the tail.
+    It is proportional to 1/|g|. With alpha and gamma it solves F(x, alpha, gamma) = 0 of `_balance`: dx = -F_x^-1 F_p.
+    The errors are what more sites and harmonics change, as a sample of rounding too.
 
     Returns:
         {parameter: derivative} with `errors`.
 
     Raises:
-        ValueError, ArithmeticError: as `threshold`, also beside the chain.
+        ValueError, ArithmeticError: as `threshold`.
     """
-    S, slopes, errors = threshold(chain), dict[str, float](), dict[str, float]()
-    for name, value in (("alpha", chain.alpha), ("gamma", chain.gamma)):
-        h = THRESHOLD_STEP * min(abs(value), 1.0 - abs(chain.gamma))
-        beside: list[dict[str, Any]] = [{name: value + place * h} for place in DIFFERENCE_PLACES]
-        first, second = DIFFERENCE_WEIGHTS @ np.array([threshold(replace(chain, **one)) for one in beside]) / h
-        slopes[name], errors[name] = float(first), float(abs(first - second) + BALANCE_TOLERANCE * S / h)
-    slopes["g"], errors["g"] = -S / chain.g, BALANCE_TOLERANCE * S / abs(chain.g)
+    coordinates, point = _born(chain)
+    S, found = float(coordinates.S_of(point.parameter)), []
+    y = coordinates.scale[:, None] * point.problem.coefficients(point.z)
+    y = np.sqrt(S) / np.linalg.norm(np.sum(y, axis=1)) * (y[::-1] if coordinates.lattice.at_last else y)
+    p = np.array([chain.alpha, -abs(chain.gamma)])
+    for more in (0, MORE_TERMS):
+        terms = np.pad(y, (0, more))
+        x, shape = np.append(terms.ravel(), S), terms.shape
+        for _ in range(2):  # of Newton's method, and quadratic
+            F_x = _slopes(partial(_balance, g=chain.g, shape=shape, p=p), x)
+            x = x - np.linalg.solve(F_x, _balance(x, p, chain.g, shape))
+        F_p = _slopes(partial(_balance, x, g=chain.g, shape=shape), p)
+        found.append(-np.linalg.solve(F_x, F_p)[-1])
+    by_alpha, by_gamma = found[1] * [1.0, -math.copysign(1.0, chain.gamma)]
+    slopes = {"alpha": float(by_alpha), "gamma": float(by_gamma), "g": -S / chain.g}
+    off = MORE_TERMS_SAFETY * np.abs(found[1] - found[0]) + BALANCE_TOLERANCE * S
+    errors = {"alpha": float(off[0]), "gamma": float(off[1]), "g": BALANCE_TOLERANCE * S / abs(chain.g)}
     return Gradient("S at the threshold", S, slopes, errors, "all other parameters")
 
 
-def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
-    """S_c, or None where it is not below `amplitude_max`."""
+def _balance(x: ComplexArray | Array, p: ComplexArray | Array, g: float, shape: tuple[int, int]) -> Any:
+    """The equations of an endless chain of gamma < 0 whose breather is born, Omega at an edge of the band.
+
+    For y_n = sum_k a_nk cos(k Omega t), k odd, of sites from the edge on, as far as forces are nonlinear:
+
+        (2 + alpha - k^2 Omega^2) a_n - (1 + gamma) a_(n-1) - (1 - gamma) a_(n+1) + g (y_n^3)_k = 0,  S = sum y_n(0)^2,
+
+    with Omega^2 = 2 + alpha + 2 s sign(g) and s^2 = 1 - gamma^2. Beyond, amplitudes in the gauge fall by beta a site,
+    s (beta + 1/beta) = 2 + alpha - k^2 Omega^2; those of k = 1 stay the same, but for their sign.
+
+    Arguments:
+        x: the a_nk and S, shape (sites harmonics + 1,).
+        p: alpha and gamma.
+        shape: (sites, harmonics).
+    """
+    (alpha, gamma), a, k, side = p, x[:-1].reshape(shape), 2.0 * np.arange(shape[1]) + 1.0, math.copysign(1.0, g)
+    s, phases = np.sqrt(1.0 - gamma**2), 0.25 * np.pi * (np.arange(2 * k.size) + 0.5) / k.size
+    apart = 2.0 + alpha - k**2 * (2.0 + alpha + 2.0 * s * side)
+    middle = 0.5 * apart[1:] / s
+    beta = np.append(-side, 1.0 / (middle - np.sqrt(middle**2 - 1.0)))
+    beyond = np.sqrt((1.0 + gamma) / (1.0 - gamma)) * beta * a[-1:]
+    waves = np.cos(np.outer(k, phases))
+    forces = apart * a + g * (a @ waves) ** 3 @ waves.T / k.size
+    forces = forces - (1.0 + gamma) * np.vstack([0.0 * beyond, a[:-1]]) - (1.0 - gamma) * np.vstack([a[1:], beyond])
+    return np.append(forces.ravel(), np.sum(np.sum(a, axis=1) ** 2) - x[-1])
+
+
+def _slopes(function: Callable[[ComplexArray], ComplexArray], x: Array) -> Array:
+    """Derivatives by all variables."""
+    return np.stack([function(x + 1j * COMPLEX_STEP * e).imag / COMPLEX_STEP for e in np.eye(x.size)], axis=1)
+
+
+def _born(chain: Chain) -> tuple[Any, Point]:
+    """The coordinates of a family of the infinite chain, and its orbit at the threshold."""
+    if chain.g == 0:
+        raise ValueError("g: given 0; accepted: not 0 (frequencies of a linear chain do not move)")
+    amplitude_max = 1.0
+    while amplitude_max <= LARGEST_S:
+        found = _born_below(chain, amplitude_max / abs(chain.g))
+        if found is not None:
+            return found
+        amplitude_max *= 10.0
+    raise ArithmeticError(f"threshold: the frequency does not leave the band up to |g| S = {LARGEST_S:g}")
+
+
+def _born_below(chain: Chain, amplitude_max: float) -> tuple[Any, Point] | None:
+    """The same, or None where S_c is not below `amplitude_max`."""
     infinite = replace(chain, sites=math.inf)  # type: ignore[arg-type]
     mode = infinite.mode_number("last" if chain.g > 0 else "first")
     family = Family(family_request(infinite, mode, amplitude_max, tolerance=BALANCE_TOLERANCE, corrector="newton"))
@@ -265,13 +312,13 @@ def _threshold_to(chain: Chain, amplitude_max: float) -> float | None:
     with one_thread():
         for point in family.continuation((family.start,)):
             if point.walked and (point.z[point.problem.Omega_index] - born) * (coordinates.start_unknown - born) < 0.0:
-                return float(coordinates.S_of(_held(family, last, point, born)))
+                return coordinates, _held(family, last, point, born)
             last = point if point.walked else last
     return None
 
 
-def _held(family: Family, before: Point, after: Point, u: float) -> float:
-    """The free parameter where that of the tail is u, between two points; ArithmeticError where it is not found."""
+def _held(family: Family, before: Point, after: Point, u: float) -> Point:
+    """Where the parameter of the tail is u, between two points; ArithmeticError where it is not found."""
     problem, point_solver = after.problem, family.point_solver
     curve, length = point_solver.curve(before, after)
     ((place, _),) = curve.crossings(problem.Omega_index, [u])
@@ -281,4 +328,4 @@ def _held(family: Family, before: Point, after: Point, u: float) -> float:
     point = None if correction is None else point_solver.refined(problem, correction, row, held=None)
     if point is None:
         raise ArithmeticError("threshold: no orbit is found where the frequency leaves the band")
-    return point.parameter
+    return point
