@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -99,11 +99,8 @@ def initial_value_problem(
 def sizes_along(orbit: Orbit) -> Array:
     """The largest value of every component of the first-order state along an orbit."""
     t = orbit.period * np.arange(ORBIT_SAMPLES) / ORBIT_SAMPLES
-    if isinstance(orbit.model, Chain):
-        sizes = np.abs(np.asarray(orbit.profile))  # at rest all displacements are largest
-        return np.concatenate([sizes, orbit.Omega * sizes])
     states = np.abs(orbit.evaluate(t))
-    if states.shape[1] < orbit.model.full_size:
+    if states.shape[1] < orbit.model.tunable_model().full_size:
         states = np.hstack([states, np.abs(np.gradient(orbit.evaluate(t), t, axis=0))])
     return np.asarray(states.max(axis=0))
 
@@ -184,9 +181,7 @@ def _of_chain(
     chain: Chain, start: ArrayLike, sizes: ArrayLike, stop_time: float, tolerance: float
 ) -> InitialValueProblem:
     sites = chain.sites
-    given = _start(start, sites, 2 * sites)
-    full = given + (0.0,) * (2 * sites - len(given))
-    numbered = range(1, sites + 1)
+    given, numbered = _start(start, sites, 2 * sites), range(1, sites + 1)
     meanings = {f"y_{n}": f"displacement of site {n}" for n in numbered}
     meanings |= {f"v_{n}": f"velocity of site {n}" for n in numbered}
     meanings |= {
@@ -196,18 +191,10 @@ def _of_chain(
         "energy": "Hamiltonian of the gauge with rho = 1 at the edge that the modes lean to",
         "S": "sum of the squared displacements",
     }
-    return InitialValueProblem(
-        model=chain_with_outputs(chain),
-        description=f"Nonreciprocal Klein-Gordon chain of {sites} sites, fixed ends (arXiv:2512.17483, Eq. 1)",
-        start=full,
-        parameters=(chain.alpha, chain.gamma, chain.g),
-        nominals=_nominals(sizes),
-        stop_time=stop_time,
-        tolerance=tolerance,
-        chain=True,
-        bounds={"gamma": (-1.0, 1.0)},
-        meanings=meanings,
-    )
+    full, values = (*given, *(0.0,) * sites)[: 2 * sites], tuple(chain.parameters.values())
+    problem = _of_model(chain_with_outputs(chain), full, values, stop_time, tolerance, sizes)
+    words = f"Nonreciprocal Klein-Gordon chain of {sites} sites, fixed ends (arXiv:2512.17483, Eq. 1)"
+    return replace(problem, description=words, chain=True, bounds={"gamma": (-1.0, 1.0)}, meanings=meanings)
 
 
 # Models ---------------------------------------------------------------------------------------------------------------

@@ -261,9 +261,7 @@ class Chain(WithOwnParameters):
 
     def dynamical_matrix(self) -> Array:
         """Dense D of omega^2 u = D u, shape (sites, sites), from the symbolic equations (paper, appendix)."""
-        model = self.physical_model()
-        jacobian = ca.Function("D", [model.state, model.parameters], [-ca.jacobian(model.rhs, model.state)])
-        return np.array(ca.DM(jacobian(0, 0)))
+        return np.array(0.0 - ca.DM(self.variational_matrix()(0, 0)))[self.sites :, : self.sites]
 
 
 # Declared lattices that are the chain of the paper: they are solved in its coordinates, to the last digit alike -------
