@@ -169,17 +169,13 @@ class KickSearch:
             found = replace(again, start=start)
         return found
 
-    def optimum(self, outcome: Outcome) -> KickOptimum:
-        """The optimum that a start led to."""
-        assert outcome.solution is not None
-        return self.nlp.optimum(outcome.start.name, outcome.solution, SOLVED_STATUS)
-
     def optima(self, outcomes: Sequence[Outcome]) -> list[KickOptimum]:
         """Optima that differ, ascending, each by the name of the first start that led to it.
 
         Where no start led to one, the first point of least norm, with Ipopt's message in place of an optimum.
         """
-        found = [self.optimum(one) for one, *_ in grouped(sorted(outcomes, key=lambda o: o.start.number))]
+        distinct = [one for one, *_ in grouped(sorted(outcomes, key=lambda outcome: outcome.start.number))]
+        found = [self.nlp.optimum(one.start.name, one.solution, SOLVED_STATUS) for one in distinct]
         found.sort(key=lambda one: one.norm)
         if found:
             return found

@@ -90,12 +90,9 @@ class Nlp:
     # Functions ------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _jacobian(self) -> Expression:
-        return ca.jacobian(self._g, self._x) if self._given_jacobian is None else self._given_jacobian
-
-    @cached_property
     def _constraints(self) -> ca.Function:
-        return ca.Function("jac_g", [self._x, self._p], [self._g, self._jacobian], ["x", "p"], ["g", "jac_g_x"])
+        jacobian = ca.jacobian(self._g, self._x) if self._given_jacobian is None else self._given_jacobian
+        return ca.Function("jac_g", [self._x, self._p], [self._g, jacobian], ["x", "p"], ["g", "jac_g_x"])
 
     @cached_property
     def _gradient(self) -> ca.Function:
@@ -344,6 +341,7 @@ def _null_space(J: Any) -> Array:
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
 SAME_OPTIMUM_RTOL = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
+LARGEST_PLACE = 1e8  # from which on a free number, in units of its range or its own, is on its way to infinity
 SEARCH_ENDINGS: Mapping[str, Ending] = {
     STOPPED_STATUS: Ending.INTERRUPTED,
     "Diverging_Iterates": Ending.UNBOUNDED,
@@ -445,4 +443,6 @@ def judged(nlp: Nlp, start: Start, first: Array, solution: Solution) -> Outcome:
     elif ending is Ending.INFEASIBLE:
         words = f"{nlp.row_name(worst, x)} is off by {gaps[worst]:.3g}"
     place, times = nlp.place_of(x), nlp.times(x)
+    if ending is Ending.FAILED and np.max(np.abs(place)) > LARGEST_PLACE:
+        ending = Ending.UNBOUNDED
     return Outcome(start, ending, words, path, values, solution, place, times, found.violation, float(gaps[worst]))

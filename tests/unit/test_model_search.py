@@ -150,6 +150,17 @@ def test_orbits_of_a_conservative_model_are_searched_over_the_whole_period() -> 
     assert result.multipliers["mu <= 2"] == pytest.approx((high - low) / 0.0002, rel=1e-6)
 
 
+@pytest.mark.parametrize(("objective", "way"), [(Q, -1.0), (Q**2, 1.0)])
+def test_a_free_number_without_a_bound_runs_off(objective: ca.SX, way: float) -> None:
+    """q(0) = a + 0.5 or so: neither it nor its negative square is bounded from below."""
+    result = search_orbit(
+        lifted("a"), guess=[0.5, 0.0], free=["a"], objective=objective, maximise=way > 0.0, starts=1
+    )  # fmt: skip
+    assert (result.status, result.found) == (Ending.UNBOUNDED, False)
+    assert way * result.value > 1e8
+    assert result.reason.startswith(f"ran off without bound; a = {result.parameters['a']:.3g}, objective = ")
+
+
 def test_a_saddle_is_no_optimum() -> None:
     """q(0) - q(0)^2 is largest at q = 1/2."""
     asked: dict[str, Any] = {"guess": [0.5, 0.0], "objective": Q - Q**2, "starts": 1}
