@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.model.arguments import accepted_names, number, short_repr
+from casadi_skin.model.arguments import accepted_names, number, short_repr, whole
 from casadi_skin.search.nlp import Stated
 
 START_RANGE_MARGIN = 0.02  # of a range, which starts keep from its ends
@@ -139,8 +139,10 @@ def sampled_starts(
     """Free numbers of starts: the own values first, then a Halton sequence (Halton 1960; Owen 2017) in the limits.
 
     Where a limit is missing the range is from half to twice the own value. All are moved within their ranges, which end
-    a little inside of the limits.
+    a little inside of the limits. Raises ValueError and TypeError for a count or a seed that is none.
     """
+    whole("starts", count, 1)
+    whole("seed", seed, 0)
     ranges = []
     for value, (low, high) in zip(values, limits, strict=True):
         span = sorted((0.5 * value, 2.0 * value)) if value != 0 else [-1.0, 1.0]

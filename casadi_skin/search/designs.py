@@ -80,16 +80,15 @@ def optimise(
         ArithmeticError: what is optimised is not located at any start.
     """
     truth("maximise", maximise)
-    number_within("tolerance", tolerance, 1e-12, 1e-2)
-    count, seed = whole("starts", starts, 1), whole("seed", seed, 0)
     problem = DesignProblem.of(quantity, of, over, subject_to, bounds, maximise)
-    return best_design(problem, problem.places(count, seed), tolerance, progress)
+    return best_design(problem, problem.places(starts, seed), tolerance, progress)
 
 
 def best_design(
     problem: DesignProblem, starts: Sequence[Array], tolerance: float, progress: Callable[[str], None] | None = None
 ) -> Design:
     """The best design from several starts; raises ArithmeticError where nothing is located at any."""
+    number_within("tolerance", tolerance, 1e-12, 1e-2)
     ends = [Search(problem, progress).optimum(start, tolerance) for start in starts]
     if all(end.status is Ending.NOT_LOCATED for end in ends):
         raise ArithmeticError("optimise: what is optimised is not located at any start")
@@ -457,14 +456,12 @@ def pareto_front(
         ValueError, TypeError: arguments that are not accepted, or an end of the front without an optimum.
     """
     whole("points", points, 2)
-    whole("starts", starts, 1)
-    number_within("tolerance", tolerance, 1e-12, 1e-2)
     checked_conditions(subject_to, (str, Callable), "a function of what is located", "subject_to")
 
     def least(quantity: str, limit: float | None = None, near: Sequence[Design] = ()) -> Design:
         held = [*subject_to, (first, None, None), (second, None, limit)]
         problem = DesignProblem.of(quantity, of, over, held, bounds, False)
-        own = problem.places(starts, whole("seed", seed, 0))
+        own = problem.places(starts, seed)
         return best_design(problem, [*(design.path[-1] for design in near), *own], tolerance)
 
     def both(design: Design) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from casadi_skin.follow.find import accuracy_of, find_orbit, guessed_period, sca
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.arguments import accepted_names, check_options, number_within, short_repr, truth, whole
+from casadi_skin.model.arguments import accepted_names, check_options, short_repr, truth, whole
 from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression, real_array
 from casadi_skin.model.ode import OdeModel
@@ -337,8 +337,7 @@ def search_orbit(
         chain_or_model, guess=guess, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
     )
     own, limits = [problem.parameters[name] for name in problem.free], [problem.limits[name] for name in problem.free]
-    rows = sampled_starts(own, limits, whole("starts", starts, 1), whole("seed", seed, 0))
-    first = [Start(number, row) for number, row in enumerate(rows, start=1)]
+    first = [Start(number, row) for number, row in enumerate(sampled_starts(own, limits, starts, seed), start=1)]
     runner = Runner(progress, workers, executor, lost_start)
     if workers > 1 or executor is not None:
         problem.check_programs()
@@ -363,9 +362,7 @@ def _of_family(
     amplitudes = real_array("S", S).ravel().tolist()
     if not amplitudes or min(amplitudes) <= 0:
         raise ValueError(f"S: given {short_repr(S)}; accepted: a finite number > 0, or a list of such numbers")
-    number_within("tolerance", tolerance, 1e-12, 1e-2)
     checked_conditions(constraints, (str, Callable), "a function of the orbits")
-    count, seed = whole("starts", starts, 1), whole("seed", seed, 0)
 
     def joined(quantity: Any) -> Any:
         if several and isinstance(quantity, str):
@@ -376,4 +373,4 @@ def _of_family(
     of = family_starts(chain_or_model, mode, amplitudes, parameters, tolerance)
     words = "objective", "free", "constraints"
     problem = DesignProblem.of(joined(objective), of, free, held, bounds, maximise, words)
-    return best_design(problem, problem.places(count, seed), tolerance, progress)
+    return best_design(problem, problem.places(starts, seed), tolerance, progress)
