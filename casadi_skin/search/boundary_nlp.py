@@ -21,7 +21,7 @@ from casadi_skin.follow.find import solve as without_objective
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import in_turn
-from casadi_skin.search.conditions import Condition, named
+from casadi_skin.search.conditions import Condition
 from casadi_skin.search.nlp import FLAT_CURVATURE, Nlp, Optimality, Solution, optimality
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
 from casadi_skin.solve.levels import ERROR_SAFETY
@@ -64,10 +64,10 @@ class BoundaryNlp(Nlp):
         names, n = statement.model.state_names, statement.model.full_size
         places = {name: np.arange(k, problem.states, n) for k, name in enumerate(names)} | scalars
         super().__init__(
-            z, value, residual,
+            z, value, ca.vertcat(residual, rows),
             {"": (problem.size - 1, 0.0, 0.0)} | {  # u is held at 0
                 name: (np.atleast_1d(places[name]), *ends) for name, ends in statement.bounds.items()},
-            named(held, ca.vertsplit(rows) if held else []), jacobian=jacobian, maximise=maximise,
+            held, jacobian=jacobian, maximise=maximise,
             exact=not programs_in(statement.model.vector_field),  # their second derivatives would be differences
             options={**IPOPT_OPTIONS, "ipopt.tol": tolerance, "ipopt.constr_viol_tol": tolerance},
             place=z[[scalars[name] for name in free]] / ca.DM(list(free.values())) if free else None,

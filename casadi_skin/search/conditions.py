@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from casadi_skin.model.arguments import accepted_names, number, short_repr, whole
-from casadi_skin.search.nlp import Stated
 
 START_RANGE_MARGIN = 0.02  # of a range, which starts keep from its ends
 PAIR_WORDS = "a pair (lower, upper) of numbers, None where there is no bound"
@@ -30,15 +29,6 @@ class Condition:
     def equality(self) -> bool:
         """Whether the two bounds are equal."""
         return self.lower == self.upper
-
-
-def named(conditions: Sequence[Condition], columns: Sequence[Any]) -> dict[str, Stated]:
-    """The columns of conditions, as an `Nlp` takes them; a name that comes again has its item beside it."""
-    found = dict[str, Stated]()
-    for item, (condition, column) in enumerate(zip(conditions, columns, strict=True), start=1):
-        name = condition.name if condition.name not in found else f"{condition.name} ({item})"
-        found[name] = column, condition.lower, condition.upper
-    return found
 
 
 def free_names(free: Sequence[str] | str, known: Iterable[str], label: str = "free") -> tuple[str, ...]:

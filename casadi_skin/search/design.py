@@ -18,7 +18,7 @@ from casadi_skin.model.result import Result
 from casadi_skin.zero.problem import Array
 
 ENGINE = "SLSQP on gradients of located solutions"
-FEASIBLE = 1e-9  # violation of a constraint, relative to 1 or its gradient
+FEASIBLE = 1e-9  # violation of a constraint, relative to its gradient
 SAME_DESIGN_RTOL = 1e-5  # of the ranges: distance of designs that are one
 SAME_VALUE_RTOL = 1e-4  # relative to 1 or more: difference of their values and frequencies
 NAMES_IN_SCRIPTS = {"objective": "value", "orbit": "solution", "orbits": "located"}  # as they stand in older ones
@@ -57,7 +57,7 @@ class Design(Result):
             equalities are equal to, by the same words.
         optimality: what the conditions of first order leave of the gradient, relative to the largest on the way, by
             parameters over their ranges, or to its terms; `optimality_error` is its estimated error.
-        violation: the largest one of a constraint, relative to 1, its gradient or its terms.
+        violation: the largest one of a constraint, relative to its gradient or its terms.
         curvature: by Ipopt: the smallest eigenvalue of the Hessian of the Lagrangian (of the negative value where that
             is maximised) in the parameters that constraints leave: positive at a strict optimum, infinite where none
             is left.

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from types import MappingProxyType
 from typing import Any, Protocol
 
 import casadi as ca
@@ -16,6 +15,7 @@ import numpy as np
 
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.search.conditions import Condition
 from casadi_skin.search.design import Ending, inequalities
 from casadi_skin.solve.ipopt import IterationCallback, Monitor, nlp_reason, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
@@ -40,16 +40,13 @@ class Solution:
     iterations: int
 
 
-Stated = tuple[Any, Any, Any]  # numbers with their lower and upper bounds
-
-
 class Nlp:
     """Minimise f(x), or maximise it, subject to equations, bounds of unknowns, and conditions.
 
     Arguments:
-        x, f, equations: symbol, scalar, and the column that vanishes.
+        x, f, g: symbol, scalar, and the column that vanishes but for the rows of conditions, which come last.
         bounds: by name, places among the unknowns with lower and upper bounds; those of no name, "", are given no word.
-        conditions: by name, a column with its lower and upper bounds. Their rows of g follow those of the equations.
+        conditions: names and bounds of the last rows.
         jacobian: dg/dx where that is known.
         maximise: whether f is maximised.
         exact: whether second derivatives are used; Ipopt approximates them elsewhere.
@@ -59,14 +56,13 @@ class Nlp:
     """
 
     def __init__(
-        self, x: Expression, f: Expression, equations: Expression, bounds: Mapping[str, Stated],
-        conditions: Mapping[str, Stated] = MappingProxyType({}), *, jacobian: Expression | None = None,
-        maximise: bool = False, exact: bool = True, options: Mapping[str, Any], place: Expression | None = None,
-        measured: Sequence[int] = (),
+        self, x: Expression, f: Expression, g: Expression, bounds: Mapping[str, tuple[Any, Any, Any]],
+        conditions: Sequence[Condition] = (), *, jacobian: Expression | None = None, maximise: bool = False,
+        exact: bool = True, options: Mapping[str, Any], place: Expression | None = None, measured: Sequence[int] = (),
     ) -> None:  # fmt: skip
         self.exact, self.options, self.sign = exact, options, -1.0 if maximise else 1.0
         self._x, self._f, self._p = x, self.sign * f, type(x).sym("p", 0)  # none, which Ipopt's functions take
-        self._g = ca.densify(ca.vertcat(equations, *(column for column, _, _ in conditions.values())))
+        self._g, self.conditions = ca.densify(g), conditions
         self.place, self.measured = place, np.array(measured, dtype=int)
         self._given_jacobian = jacobian
         self._solvers: dict[bool, tuple[ca.Function, IterationCallback]] = {}
@@ -74,13 +70,10 @@ class Nlp:
         for places, lower, upper in bounds.values():
             self.lower[places], self.upper[places] = lower, upper
         self.unknowns = {name: np.array(places) for name, (places, _, _) in bounds.items() if name}
-        stop = int(equations.numel())
-        self.equations, self.conditions = np.arange(stop), dict[str, Indices]()
-        self.low, self.high = np.zeros(self._g.numel()), np.zeros(self._g.numel())
-        for name, (column, low, high) in conditions.items():
-            rows = self.conditions[name] = np.arange(stop, stop := stop + column.numel())
-            self.low[rows], self.high[rows] = low, high
-        self.condition_rows = np.arange(self.equations.size, stop)
+        rows, stop = int(g.numel()), int(g.numel()) - len(conditions)
+        self.equations, self.condition_rows = np.arange(stop), np.arange(stop, rows)
+        self.low = np.append(np.zeros(stop), [condition.lower for condition in conditions])
+        self.high = np.append(np.zeros(stop), [condition.upper for condition in conditions])
 
     @property
     def size(self) -> int:
@@ -131,8 +124,8 @@ class Nlp:
 
     def row_name(self, row: int, x: Array) -> str:
         """The condition that a row of g belongs to, or its equation, in words."""
-        names = (name for name, rows in self.conditions.items() if row in rows)
-        return next(names, None) or self.equation_name(row, x)
+        stop = self.equations.size
+        return self.equation_name(row, x) if row < stop else self.conditions[row - stop].name
 
     def equation_name(self, row: int, x: Array) -> str:
         """An equation of the orbit, in words."""
@@ -276,12 +269,12 @@ def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[dict[str, float], I
                 where = "" if places.size == 1 else f" at {np.count_nonzero(at)} of {places.size} points"
                 found[f"{name} {sign} {bound[0]:.10g}{where}"] = -nlp.sign * float(np.sum(solution.lam_x[places[at]]))
                 unknowns += places[at].tolist()
-    for name, places in nlp.conditions.items():
-        for bound, sign in ((nlp.low[places], ">="), (nlp.high[places], "<=")):
-            at = np.isfinite(bound) & (np.abs(g[places] - bound) <= NEAR_BOUND * np.maximum(1.0, np.abs(bound)))
-            rows += places[at].tolist()
-            for row, b, equal in zip(places[at], bound[at], (nlp.low == nlp.high)[places[at]], strict=True):
-                found[f"{name} {'=' if equal else sign} {b:.10g}"] = -nlp.sign * float(solution.lam_g[row])
+    for row, condition in zip(nlp.condition_rows.tolist(), nlp.conditions, strict=True):
+        for bound, sign in ((condition.lower, ">="), (condition.upper, "<=")):
+            if np.isfinite(bound) and abs(g[row] - bound) <= NEAR_BOUND * max(1.0, abs(bound)):
+                rows.append(row)
+                words = f"{condition.name} {'=' if condition.equality else sign} {bound:.10g}"
+                found[words] = -nlp.sign * float(solution.lam_g[row])
     return found, np.unique(np.array(unknowns, dtype=int)), np.unique(np.array(rows, dtype=int))
 
 

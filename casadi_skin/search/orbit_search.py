@@ -200,13 +200,14 @@ class OrbitSearch:
         except BoundaryError as error:
             words = f"found on the first meshes, and not confirmed by more: {error}"
             return self.design(replace(outcome, ending=Ending.FAILED, words=words))
-        rows, found, value = best.nlp.residual(best.solution.x), best.optimality, best.solution.objective
+        rows = best.nlp.residual(best.solution.x)[best.nlp.condition_rows, None]
+        found, value = best.optimality, best.solution.objective
         flat = "; it is flat: neighbours along some direction of the free numbers do as well"
         return replace(
             self.design(outcome), value=value, error=best.objective_error,
             parameters=dict(zip(self.free, free, strict=True)), path=np.array([*outcome.path, free]),
             values=np.append(outcome.values, value), located=(orbit,), quantities=(self._quantities(orbit),),
-            conditions={name: rows[places] for name, places in best.nlp.conditions.items()},
+            conditions=dict(zip((condition.name for condition in self.conditions), rows, strict=True)),
             multipliers=found.multipliers, optimality=found.kkt, violation=found.violation, curvature=found.curvature,
             difference=difference(orbit, plain), status=Ending.FOUND,
             reason=optimum_words(found.multipliers) + (flat if found.curvature < FLAT_CURVATURE else ""),

