@@ -166,21 +166,21 @@ def _rest_near(model: OdeModel, x: Array, course: Course, walking: int, fastest:
         ca.densify(ca.jacobian(model.full_rhs, model.full_state)),
     )
     start, p = x, course.p
-    found = _equilibrium(slope, x, p)
+    found = _equilibrium(slope, x, p, course.extent)
     rest = None if found is None else _classified(slope, found, p, course.extent, fastest, saddle=True)
     if rest is None:
-        solved = _saddle_node(slope, start, p, walking)
+        solved = _saddle_node(slope, start, p, walking, course.extent)
         rest = None if solved is None else _classified(slope, *solved, course.extent, fastest, saddle=False)
     return None if rest is None or np.any(np.abs(rest.x - start) > EQUILIBRIUM_DISTANCE * course.extent) else rest
 
 
-def _equilibrium(slope: ca.Function, x: Array, p: Array) -> Array | None:
+def _equilibrium(slope: ca.Function, x: Array, p: Array, extent: Array) -> Array | None:
     """The equilibrium near a state; None beside a double one, where Newton's method does not converge."""
     y = ca.MX.sym("y", x.size)
-    return _root(y, slope(0.0, y, p)[0], x)
+    return _root(y, slope(0.0, y, p)[0], x, extent)
 
 
-def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[Array, Array] | None:
+def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int, extent: Array) -> tuple[Array, Array] | None:
     """The equilibrium with an eigenvalue zero near a state, and the parameters with the one followed as it is there."""
     n = x.size
     near = np.linalg.svd(np.array(slope(0.0, x, p)[1]))[2][-1]
@@ -188,18 +188,22 @@ def _saddle_node(slope: ca.Function, x: Array, p: Array, walking: int) -> tuple[
     values = ca.vertcat(*(y[2 * n] if i == walking else value for i, value in enumerate(p)))
     rate, jacobian = slope(0.0, y[:n], values)
     equations = ca.vertcat(rate, jacobian @ y[n : 2 * n], ca.dot(ca.DM(near), y[n : 2 * n]) - 1.0)
-    found = _root(y, equations, np.concatenate([x, near, p[walking : walking + 1]]))
+    value = p[walking : walking + 1]
+    sizes = np.concatenate([extent, np.ones(n), np.where(value == 0.0, 1.0, np.abs(value))])
+    found = _root(y, equations, np.concatenate([x, near, value]), sizes)
     return None if found is None else (found[:n], np.where(np.arange(p.size) == walking, found[-1], p))
 
 
-def _root(y: ca.MX, equations: ca.MX, guess: Array) -> Array | None:
-    """The root near a guess, by steps that become small; None where Newton's method finds none."""
+def _root(y: ca.MX, equations: ca.MX, guess: Array, sizes: Array) -> Array | None:
+    """The root near a guess, by steps that become small beside sizes; None where Newton's method finds none."""
+    in_sizes = ca.MX.sym("in_sizes", guess.size)
+    scaled = ca.substitute(equations, y, sizes * in_sizes)
     options = {
-        "max_iter": NEWTON_STEPS, "abstol": 0.0, "abstolStep": CONVERGED_STEP * (np.max(np.abs(guess)) + 1.0),
+        "max_iter": NEWTON_STEPS, "abstol": 0.0, "abstolStep": CONVERGED_STEP * (np.max(np.abs(guess / sizes)) + 1.0),
         "print_time": False, "show_eval_warnings": False,
     }  # fmt: skip
     try:
-        found = ca.rootfinder("rest", "newton", {"x": y, "g": equations}, options)(x0=guess)["x"]
+        found = sizes * ca.rootfinder("rest", "newton", {"x": in_sizes, "g": scaled}, options)(x0=guess / sizes)["x"]
     except RuntimeError:  # as CasADi says that Newton's method failed
         return None
     ends = np.array(ca.Function("rest", [y], [equations])(found))  # where it has left the domain it ends without a word

@@ -192,3 +192,16 @@ def test_lorenz_has_its_hopf_point_and_the_cycles_there_in_any_units(units: list
     one, other = cycles_of(np.ones(3), 1.0), cycles_of(np.array(units), time)
     assert len(one) == len(other)
     np.testing.assert_allclose(time * other.at(r=22.0).period, one.at(r=22.0).period, rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
+def test_cycles_come_to_their_homoclinic_orbit_in_any_unit(unit: float) -> None:
+    """Bogdanov and Takens' equations; the value of m2 by shooting from the saddle's manifolds, of eighth order."""
+    x, y, m1, m2 = symbols("x y m1 m2")
+    u, v = x / unit, y / unit
+    model = OdeModel("bt", ca.vertcat(x, y), unit * ca.vertcat(v, m1 + m2 * v + u**2 + u * v), ca.vertcat(m1, m2))
+    rest = find_equilibrium(model, [-0.2 * unit, 0.0], parameters={"m1": -0.04, "m2": 0.5})
+    (hopf,) = rest.follow("m2", -0.5).special_points
+    branch = hopf.follow("m2", 0.0)
+    (last,) = (point for point in branch.special_points if point.kind == "homoclinic")
+    assert abs(last.parameters["m2"] - 0.1440510191604) < last.error < 1e-7
