@@ -82,7 +82,7 @@ def _growth(problem: Any, z: Array) -> Slopes:
     growth = np.sqrt(values.astype(complex)) if second else values
     k = int(np.argmax(growth.real))
     psi, v = left[:, k].conj(), np.append(right[:, k], np.zeros(z.size - n))
-    found = Equations.of(problem).of_pair(z, psi, v)
+    found = Equations.of(problem).pulled(z, psi, v)
     factor = (2.0 * growth[k] if second else 1.0) * (psi @ right[:, k])
     by_z, by_c = ((part / factor).real for part in found)
     return float(growth[k].real), by_z, by_c
@@ -124,22 +124,17 @@ class AtStart:
         return ca.Function("slopes", symbols, [value, *(ca.densify(ca.gradient(value, s)) for s in symbols[1:])])
 
     def __call__(self, problem: Any, z: Array) -> Slopes:
-        equations, by_z = Equations.of(problem), np.zeros(z.size)
-        names, rest = equations.names, isinstance(problem, AlgebraicProblem)
-        values = dict(zip(names, problem.parameters(z), strict=True))
+        equations, rest = Equations.of(problem), isinstance(problem, AlgebraicProblem)
+        order = [equations.names.index(name) for name in self.space.model.parameter_names]
         count = problem.states if rest else problem.formulation.states
-        x, p = problem.state(z) if rest else z[:count], [values[name] for name in self.space.model.parameter_names]
+        x, moves = problem.state(z) if rest else z[:count], equations.moves()
         whole = np.zeros(self._slopes.size1_in(1))  # a model of second order rests with its velocities zero
         whole[:count] = x[: whole.size]
-        value, by_x, by_p = (np.array(part).ravel() for part in self._slopes(0.0, whole, p))
-        by_z[:count] = by_x[:count] * (problem.scale if rest else 1.0)
-        by_c = np.zeros(len(names))
-        for name, slope in zip(self.space.model.parameter_names, by_p, strict=True):
-            if name in equations.unknowns():
-                index, rate = equations.unknowns()[name]
-                by_z[index] += rate * slope
-            else:
-                by_c[names.index(name)] = slope
+        found = self._slopes(0.0, whole, problem.parameters(z)[order])
+        value, by_x, by_p = (np.array(part).ravel() for part in found)
+        by_z, by_c = by_p @ moves[order], np.zeros(len(equations.names))
+        by_z[:count] += by_x[:count] * (problem.scale if rest else 1.0)
+        by_c[order] = np.where(moves[order].any(axis=1), 0.0, by_p)
         return float(value[0]), by_z, by_c
 
 
@@ -208,7 +203,7 @@ class Flow:
         for psi, v in zip((left[:, :count] + 1j * left[:, count:]).T, (self._ways @ b).T, strict=True):
             weights, way = np.zeros(self._problem.equations, complex), np.zeros(self._z.size, complex)
             weights[: psi.size], way[: v.size] = psi, v
-            found -= np.concatenate(equations.of_pair(self._z, weights, way)).real
+            found -= np.concatenate(equations.pulled(self._z, weights, way)).real
         return found[: self._z.size], found[self._z.size :]
 
 

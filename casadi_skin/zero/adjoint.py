@@ -16,7 +16,6 @@ first derivatives. A simple eigenvalue or multiplier of the linearisation has th
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -31,7 +30,6 @@ from casadi_skin.model.pickled import programs_in
 from casadi_skin.zero.augmented import Augmented
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.linearised import Linearised, by_parts
-from casadi_skin.zero.mesh import Mesh, with_edges
 from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import BoundaryProblem, stated
@@ -105,25 +103,32 @@ class Equations:
 
         def __getattr__(self, name: str) -> Any: ...
 
-    def pulled(self, z: Array, left: Array, way: Array | None = None) -> Pulled:
-        """The gradient of left^T F, of the terms that are not linear alone; or of left^T F_z way, of all."""
-        if way is None or self.exact:
-            found: Pulled = self._pulled(z, left, way)
-            return found
-        largest = float(np.max(np.abs(way) / self.lengths(z)))
-        h = self.widening * DIFFERENCE_STEP / max(largest, 1e-300)
-        slopes = central(lambda k: np.concatenate(self._pulled(z + k * way, left, None)), h)
-        return slopes[: z.size], slopes[z.size :]
+    def moves(self) -> Array:
+        """How the parameters change with the unknowns, shape (parameters, size)."""
+        found = np.zeros((len(self.names), self.problem.size))
+        for name, (index, rate) in self.unknowns().items():
+            found[self.names.index(name), index] = rate
+        return found
+
+    def pulled(self, z: Array, left: Any, way: Any = None) -> Any:
+        """The gradient of left^T F, of the terms that are not linear alone; or of left^T F_z way, of all.
+
+        By the unknowns and by the parameters; both vectors may be complex.
+        """
+        if way is None:
+            return self._pulled(z, left, None)
+
+        def of(left: Array, way: Array) -> Array:
+            if self.exact:
+                return np.concatenate(self._pulled(z, left, way))
+            h = self.widening * DIFFERENCE_STEP / max(float(np.max(np.abs(way) / self.lengths(z))), 1e-300)
+            return central(lambda k: np.concatenate(self._pulled(z + k * way, left, None)), h)
+
+        return np.split(by_parts(of, z.size + len(self.names), left, way), [z.size])
 
     def by_switching(self, z: Array) -> dict[int, Array]:
         """Derivatives of all equations by parameters, by place, that move the times at which the field switches."""
         return {}
-
-    def of_pair(self, z: Array, left: Any, way: Any) -> tuple[Any, Any]:
-        """The same of complex vectors."""
-        size = z.size
-        both = by_parts(lambda *v: np.concatenate(self.pulled(z, *v)), size + len(self.names), left, way)
-        return both[:size], both[size:]
 
 
 class OfRest(Equations):
@@ -153,20 +158,13 @@ class OfRest(Equations):
         return csc_matrix((problem.entries(z), problem.pattern), shape=(problem.size - 1, z.size))
 
     def _pulled(self, z: Array, left: Array, way: Array | None) -> Pulled:
-        problem, n, names = self.problem, self.problem.statics.size, self.names
-        courses = [(names.index(name), *where) for name, where in self.unknowns().items()]
-        ways, by_z = [], np.zeros(z.size)
-        if way is not None:
-            along = np.zeros(len(names))
-            for place, index, extent in courses:
-                along[place] = extent * way[index]
-            ways = [problem.scale * way[:n], along]
-        function = _of_rest(problem.statics.model, way is not None)
+        problem, n, moves = self.problem, self.problem.statics.size, self.moves()
+        ways = [] if way is None else [problem.scale * way[:n], moves @ way]
         given: list[Any] = [problem.state(z), problem.parameters(z), [], left[:n] / problem.scale]
-        by_x, by_p, _ = (np.array(part).ravel() for part in function(*given, *ways))
-        by_z[:n] = by_x * problem.scale
-        for place, index, extent in courses:
-            by_z[index] = by_p[place] * extent
+        found = _of_rest(problem.statics.model, way is not None)(*given, *ways)
+        by_x, by_p, _ = (np.array(part).ravel() for part in found)
+        by_z = by_p @ moves
+        by_z[:n] += by_x * problem.scale
         return by_z, by_p
 
 
@@ -195,16 +193,12 @@ class OfCollocation(Equations):
 
     def by_switching(self, z: Array) -> dict[int, Array]:
         """By differences on meshes whose edges move along: at a held mesh such a parameter does nothing."""
-        statement, found = self.problem.statement, dict[int, Array]()
+        p, statement, found = self.problem, self.problem.statement, dict[int, Array]()
 
         def residual(step: float, name: str) -> Array:
-            other = copy.copy(self.problem)
-            other.__dict__.pop("numbers", None)
-            other.statement = statement.with_parameters(**{name: statement.values[name] + step})
-            other.values = other.statement.constants(other.walking, other.end)
-            lengths = with_edges(self.problem.constants, other.statement.switching)
-            other.mesh = Mesh(lengths, self.problem.table.ends)
-            return other.evaluate(z)[0].copy()
+            moved = statement.with_parameters(**{name: statement.values[name] + step})
+            given = p.formulation, p.resolution, p.table, p.floors, p.scalar_floors, p.walking, p.end
+            return BoundaryProblem(moved, *given).with_constants(p.constants).evaluate(z)[0].copy()
 
         for place, name in enumerate(self.names if statement.switching.size else ()):
             h = SWITCHING_STEP * (abs(statement.values[name]) or 1.0)
