@@ -249,7 +249,8 @@ def _of_what(s: Seen) -> Rules:
         without = not (s.family or s.collocated or cycles) and "without [family], [orbit] or [solution]"
         yield "stability", without, f"{others}, whose stability it asks for"
         yield "stability gradient", not s.family and " without [family]", "beside a [family]"
-        yield "stability gradient", not s.stability.events and " without events", "with events = true"
+        located = s.stability.events or s.sites == math.inf  # whose threshold maps have
+        yield "stability gradient", not located and " without events", "with events = true"
         yield "stability sites", not s.family and " without [family]", "beside a [family] of a chain"
     if s.continuation:
         accepted = "beside a [family], an [equilibrium], an [orbit] or a [solution], from which it follows"
