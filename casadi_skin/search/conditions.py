@@ -61,11 +61,9 @@ def pair(place: str, given: object) -> tuple[float, float]:
 
 
 def checked_bounds(
-    bounds: Mapping[str, object] | None,
-    free: Mapping[str, tuple[float, float]],
-    fixed: Iterable[str],
+    bounds: Mapping[str, object] | None, free: Mapping[str, tuple[float, float]], fixed: Iterable[str],
     quantities: Iterable[str],
-) -> tuple[dict[str, tuple[float, float]], tuple[Condition, ...]]:
+) -> tuple[dict[str, tuple[float, float]], tuple[Condition, ...]]:  # fmt: skip
     """Limits of the free numbers, and conditions from the bounds on quantities.
 
     Arguments:

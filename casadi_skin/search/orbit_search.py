@@ -83,8 +83,7 @@ class OrbitSearch:
         self.selecting = {label: each for label, each in selecting.items() if each is not None}
         held = checked_conditions(constraints, (ca.SX, ca.MX), "an expression in states and parameters")
         fixed = [name for name in self.parameters if name not in self.free]
-        wide = dict.fromkeys(self.free, (-math.inf, math.inf))
-        self.limits, more = checked_bounds(bounds, wide, fixed, known)
+        self.limits, more = checked_bounds(bounds, dict.fromkeys(self.free, (-math.inf, math.inf)), fixed, known)
         own = (*model.state_names, *(() if model.forced else (PERIOD,)))
         self.limits |= {c.quantity: (c.lower, c.upper) for c in more if c.quantity in own}
         self.conditions = [
@@ -138,7 +137,15 @@ class OrbitSearch:
 
     def _stated(self, plain: Orbit) -> tuple[BoundaryNlp, Array]:
         """The programme on the mesh of a plain orbit, with that orbit as a point of it."""
-        statement = self._statement(plain)
+        given, objectives = plain.statement, dict[str, Any]()
+        if self.objective is not None:
+            objectives["objective"] = self._at_zero(plain, self.objective)
+        if self.running is not None:
+            time = given.model.time if self.model.forced else 0.0
+            p = given.model.parameters[: len(self.parameters)]
+            objectives["running"] = self.running(time, given.model.full_state, p, 0.0) / given.interval[1]
+        free = (*given.free, *self.free)
+        statement = replace(given, free=free, bounds=dict(self.limits), **objectives)
         space = replace(plain.space, statement=statement, sizes=Sizes.of(statement, plain.states))
         problem = stated(space.levels.problem(plain.intervals).with_constants(plain.problem.constants))
         conditions = [replace(c, quantity=self._at_zero(plain, c.quantity)) for c in self.conditions]
@@ -148,19 +155,6 @@ class OrbitSearch:
             scales[PERIOD] = float(self.t[-1]) / self._part
         x = np.concatenate([plain.point.z[:-1], [plain.parameters[name] for name in self.free], [0.0]])
         return BoundaryNlp(space, problem, conditions, scales, self.maximise), x
-
-    def _statement(self, plain: Orbit) -> Statement:
-        """The plain orbit's problem with free parameters, bounds and the objective."""
-        statement, stated = plain.statement, dict[str, Any]()
-        if self.objective is not None:
-            stated["objective"] = self._at_zero(plain, self.objective)
-        if self.running is not None:
-            model, end = statement.model, statement.interval[1]
-            time = model.time if self.model.forced else 0.0
-            along = self.running(time, model.full_state, model.parameters[: len(self.parameters)], 0.0)
-            stated["running"] = along / end
-        free = (*statement.free, *self.free)
-        return replace(statement, free=free, bounds=dict(self.limits), **stated)
 
     def _at_zero(self, plain: Orbit, function: ca.Function) -> Expression:
         """A quantity at phase zero, in the start's state and the parameters of the statement's model."""
@@ -271,8 +265,6 @@ def _units(names: Sequence[str], states: Array) -> tuple[float, str]:
 
 # The public entry -----------------------------------------------------------------------------------------------------
 
-DEFAULT_STARTS = 8
-
 
 @in_turn
 def search_orbit(
@@ -283,7 +275,7 @@ def search_orbit(
     bounds: Mapping[str, Any] | None = None,
     constraints: Sequence[Any] = (),
     maximise: bool = False,
-    starts: int = DEFAULT_STARTS,
+    starts: int = 8,
     seed: int = 0,
     workers: int = 1,
     executor: Executor | None = None,

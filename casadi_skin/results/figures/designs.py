@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from casadi_skin.zero.problem import Array
-
 
 @drawn
 def design_figure(result: Design, name: str) -> Figure:
@@ -38,14 +36,10 @@ def design_figure(result: Design, name: str) -> Figure:
 def draw_path(axes: Axes, result: Design) -> None:
     """The designs on the way: in the plane of the first two parameters, also over a map; of one its quantity."""
     names = list(result.parameters)
-
-    def places(one: Design) -> tuple[Array, Array]:
-        return one.path[:, 0], one.path[:, 1] if len(names) > 1 else one.values
-
-    for one in result.others:
-        axes.plot(*places(one), "o-", color="0.7", ms=3, lw=0.8, label="to another optimum")
-    x, y = places(result)
-    axes.plot(x, y, "o-", color="0.4", ms=3, lw=0.8, label="designs")
+    for one in (*result.others, result):
+        x, y = one.path[:, 0], one.path[:, 1] if len(names) > 1 else one.values
+        colour, label = ("0.4", "designs") if one is result else ("0.7", "to another optimum")
+        axes.plot(x, y, "o-", color=colour, ms=3, lw=0.8, label=label)
     axes.plot(x[:1], y[:1], "s", color="black", mfc="none", label="start")
     axes.plot(x[-1:], y[-1:], "o", color="tab:red", mfc="none", ms=9, label="optimum" if result.found else "end")
     axes.set_xlabel(plain(names[0]))
