@@ -226,7 +226,8 @@ def _of_edge(point: SpecialPoint, errors: bool) -> Gradient:
         field = problem.formulation.field_function(0.0, x, *problem.repeated(z, 1))[0]
         direction = np.split(to_scaled @ np.array(field).ravel(), 2)[1]
         here = edge.condition(to_scaled @ flow.matrix @ of_scaled, direction, edge.edge.mu)
-        return here.value, *flow.slopes(to_scaled.T @ here.a, of_scaled @ here.b)
+        by_z, by_c = flow.slopes(to_scaled.T @ here.a, of_scaled @ here.b)
+        return here.value, by_z.real, by_c.real
 
     def at(side: float) -> Array:
         """Derivatives at an S beside that of the edge, or at the edge, and their errors, (2, names)."""

@@ -23,11 +23,12 @@ from casadi_skin.model.arguments import accepted_names
 from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.adjoint import Equations
-from casadi_skin.zero.linearised import Linearised
+from casadi_skin.zero.linearised import Linearised, bordered, null_vectors
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import PERIOD
 
+MULTIPLIER_STEPS = 3  # of a multiplier's corrections, quadratic each
 EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
 Slopes = tuple[float, Array, Array]  # a value, its derivatives by the unknowns and by the parameters
 Target = Callable[[Any, Array], Slopes]
@@ -193,47 +194,68 @@ class Flow:
         self._ways = sizes * self._factors.solve(np.eye(k, n)) / sizes[:n, 0]
         self.matrix = self._ways[-n:]
 
-    def slopes(self, a: Any, b: Any) -> tuple[Array, Array]:
-        """Real derivatives of the sum of a^T Phi b over columns, (n, any), by the unknowns and the parameters."""
+    def slopes(self, a: Any, b: Any) -> tuple[Any, Any]:
+        """Derivatives of the sum of a^T Phi b over columns, (n, any), by the unknowns and the parameters."""
         equations, (n, count), sizes = Equations.of(self._problem), a.shape, self._sizes
         ends = np.zeros((sizes.size, 2 * count))
         ends[-n:] = sizes[-n:] * np.hstack([a.real, a.imag])
         left = (self._factors.solve(ends, trans="T") / sizes)[n:]
-        found = np.zeros(self._z.size + len(equations.names))
+        found = np.zeros(self._z.size + len(equations.names), complex)
         for psi, v in zip((left[:, :count] + 1j * left[:, count:]).T, (self._ways @ b).T, strict=True):
             weights, way = np.zeros(self._problem.equations, complex), np.zeros(self._z.size, complex)
             weights[: psi.size], way[: v.size] = psi, v
-            found -= np.concatenate(equations.pulled(self._z, weights, way)).real
+            found -= np.concatenate(equations.pulled(self._z, weights, way))
         return found[: self._z.size], found[self._z.size :]
 
 
 def _multiplier(space: BoundarySpace, solution: Solution, problem: Any, z: Array) -> Slopes:
-    """The largest modulus of a multiplier but the trivial ones: d mu = psi^T dM v over psi^T v, with the map M.
-
-    With x(-t) = N x(t) the second part of the period is the first one back: on a half of it M is N Phi^-1 N Phi. On a
-    quarter N Phi^-1 P N Phi, with the signs P after half a period, is the map of that, whose square M is.
-    """
-    from scipy.linalg import eig
-
+    """The largest modulus of a multiplier but the trivial ones; on parts of the period they come in pairs."""
     others = solution.floquet().others
     if not others.size:
         raise ValueError("quantity: given max_abs_multiplier of an orbit without others than the trivial ones")
-    mu, n, flow = others[np.argmax(np.abs(others))], problem.formulation.states, Flow(problem, z)
-    sizes, power = problem.sizes(z)[:n, None], 1 + (space.symmetry is SymmetryClass.QUARTER)
-    Phi = M = flow.matrix / sizes * sizes[:, 0]
-    N, back = np.ones(n), np.ones(n)
-    if space.symmetry is not SymmetryClass.FULL:
-        N[: space.model.full_size] = space.model.reversal
-        back[: space.model.full_size] = space.model.half_period if power == 2 else 1.0
-        M = N[:, None] * np.linalg.solve(Phi, (back * N)[:, None] * Phi)
-    values, left, right = eig(M, left=True)
+    mu, power = complex(others[np.argmax(np.abs(others))]), 1 + (space.symmetry is SymmetryClass.QUARTER)
+    whole = space.symmetry is SymmetryClass.FULL
+    nu, found = _of_whole(problem, z, mu) if whole else _of_part(space, problem, z, mu, power)
+    size, by_z, by_c = abs(nu), *((power * abs(nu) ** (power - 2) * np.conj(nu) * part).real for part in found)
+    by_c[list(Equations.of(problem).by_switching(z))] = np.nan  # how the maps change with the mesh is not known
+    return float(size**power), by_z, by_c
+
+
+def _of_whole(problem: Any, z: Array, mu: Any) -> tuple[Any, Any]:
+    """A multiplier v(1) = mu v(0), B v = 0, and d mu = psi^T dB v over psi_1^T v(0): tiny ones keep their digits."""
+    from scipy.sparse import diags, eye, vstack
+    from scipy.sparse.linalg import splu
+
+    n, k, mu = problem.formulation.states, problem.states, mu if mu.imag else mu.real
+    field, sizes = Linearised(problem, z, problem.statement).matrix[: k - n, :k], problem.sizes(z)[:k]
+    rows, left, v = diags(1.0 / np.roll(sizes, -n)), np.empty(0), np.empty(0)
+    for _ in range(MULTIPLIER_STEPS):
+        B = (rows @ vstack([field, eye(n, k, k - n) - mu * eye(n, k)]) @ diags(sizes)).tocsc()
+        v, psi = null_vectors(B)  # whose shift is seen in the eleventh digit: they border B alone
+        factors: Any = splu(bordered(B, v[:, None].conj(), psi[:, None]))
+        v, psi = (factors.solve(np.append(0.0 * v, 1.0), trans)[:-1] for trans in ("N", "H"))
+        left = psi.conj() / (psi.conj()[-n:] @ v[:n])
+        mu = mu + left @ (B @ v)
+    way, weights = np.zeros(z.size, v.dtype), np.zeros(problem.equations, left.dtype)
+    way[:k], weights[: k - n] = v * sizes, left[: k - n] / sizes[n:]
+    return mu, Equations.of(problem).pulled(z, weights, way)
+
+
+def _of_part(space: BoundarySpace, problem: Any, z: Array, mu: complex, power: int) -> tuple[Any, Any]:
+    """A multiplier, or of a quarter its root nu, and d nu = psi^T dM v over psi^T v of the map M.
+
+    With x(-t) = N x(t) the second part of the period is the first one back: on a half of it M is N Phi^-1 N Phi. On a
+    quarter N Phi^-1 P N Phi, with the signs P after half a period, is the map of that.
+    """
+    from scipy.linalg import eig
+
+    n, flow, sizes = problem.formulation.states, Flow(problem, z), problem.sizes(z)[: problem.formulation.states, None]
+    N, back = np.ones((n, 1)), np.ones((n, 1))
+    N[: space.model.full_size, 0] = space.model.reversal
+    back[: space.model.full_size, 0] = space.model.half_period if power == 2 else 1.0
+    Phi = flow.matrix / sizes * sizes[:, 0]
+    values, left, right = eig(N * np.linalg.solve(Phi, back * N * Phi), left=True)
     k = int(np.argmin(np.abs(values**power - mu)))
     nu, v, psi = complex(values[k]), right[:, [k]], left[:, [k]].conj()
-    a, b = psi / (psi.T @ v), v
-    if space.symmetry is not SymmetryClass.FULL:
-        p = np.linalg.solve(Phi.T, N[:, None] * a)
-        a, b = np.hstack([-p, (back * N)[:, None] * p]), np.hstack([nu * N[:, None] * v, v])
-    size = abs(nu)
-    by_z, by_c = flow.slopes(power * size ** (power - 2) * nu.conjugate() * a / sizes, b * sizes)
-    by_c[list(Equations.of(problem).by_switching(z))] = np.nan  # how the maps change with the mesh is not known
-    return size**power, by_z, by_c
+    p = np.linalg.solve(Phi.T, N * psi / (psi.T @ v))
+    return nu, flow.slopes(np.hstack([-p, back * N * p]) / sizes, np.hstack([nu * N * v, v]) * sizes)

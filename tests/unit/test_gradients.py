@@ -586,6 +586,21 @@ def test_quantities_of_a_limit_cycle_are_those_of_differences() -> None:
     assert orbit.gradient("max_abs_multiplier").value == pytest.approx(orbit.floquet().max_abs_multiplier, rel=1e-9)
 
 
+def test_a_tiny_multiplier_keeps_its_digits() -> None:
+    """Van der Pol's cycle at mu = 3 forgets 15 digits in a period: log of the multiplier = mu int (1 - x^2) dt."""
+    orbit = limit_cycle().follow("mu", 3.1, at=[3.0]).at(mu=3.0)
+    found, tiny = orbit.gradient("max_abs_multiplier"), orbit.floquet().max_abs_multiplier
+    assert found.value == pytest.approx(tiny, rel=1e-9) == pytest.approx(7e-16, rel=0.01)
+
+    def log(mu: float) -> float:
+        beside = find_orbit(orbit.model, orbit, orbit.period, parameters={"mu": mu}, tolerance=1e-11)
+        return float(np.log(beside.floquet().max_abs_multiplier))
+
+    known = by_differences(log, {"mu": 3.0}, "mu", 2e-2)
+    assert found["mu"] / tiny == pytest.approx(known, rel=1e-5)
+    assert found.errors["mu"] <= 1e-3 * abs(found["mu"])
+
+
 def two_oscillators(even: bool, symmetric: bool, c: float = -0.08, tolerance: float = 1e-9) -> Any:
     """An orbit in phase, unstable out of phase; of even potentials a quarter of the period is enough, else a half."""
     x, y, u, v, k, c_, a = symbols("x y u v k c a")
