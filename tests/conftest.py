@@ -24,6 +24,7 @@ from casadi_skin.follow import family
 from casadi_skin.model.interrupts import ENDING
 
 
+@pytest.hookimpl(optionalhook=True)  # tests run without pytest-xdist too, one after the other
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """One worker a core; none for a single file, which ends sooner without, and for benchmarks, which take times."""
     files = {argument.split("::")[0] for argument in config.args}
@@ -36,6 +37,9 @@ def slow_run(config: pytest.Config) -> bool:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if os.environ.get("CI"):  # a warning of a version that somebody else has is no failure of theirs
+        config.addinivalue_line("filterwarnings", "error")
+    config.addinivalue_line("filterwarnings", "ignore::DeprecationWarning:casadi.*")
     settings.register_profile("quick", max_examples=20, deadline=None, derandomize=True, database=None)
     settings.register_profile("slow", max_examples=100, deadline=None, derandomize=True, database=None)
     settings.register_profile("random", max_examples=300, deadline=None)  # looks for new faults
