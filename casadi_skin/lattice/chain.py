@@ -19,6 +19,7 @@ import numpy as np
 from casadi_skin.lattice import closed_forms as linear
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site
+from casadi_skin.lattice.equations import LARGEST_LOG_WEIGHT
 from casadi_skin.lattice.stiffness import stiffness
 from casadi_skin.model.arguments import number, short_repr
 from casadi_skin.model.expressions import expression
@@ -231,10 +232,10 @@ class Chain(WithOwnParameters):
         y, v = (ca.vertcat(*(ca.SX.sym(f"{x}_{n}") for n in range(1, self.sites + 1))) for x in "yv")
         alpha, gamma, g = (ca.SX.sym(name) for name in self.parameters)
         weights = None
-        if abs(self.gamma) < 1:  # those of the gauge, at most 1
-            ratio = (1 - gamma) / (1 + gamma) if self.gamma >= 0 else (1 + gamma) / (1 - gamma)
+        if -2.0 * float(np.min(self.log_rho)) <= LARGEST_LOG_WEIGHT:  # 1/rho^2 of the gauge, as in a lattice's energy
+            ratio = (1 + gamma) / (1 - gamma) if self.gamma >= 0 else (1 - gamma) / (1 + gamma)
             powers = [ratio**n for n in range(self.sites)]
-            weights = ca.vertcat(*(powers if self.gamma >= 0 else powers[::-1]))
+            weights = ca.vertcat(*(powers[::-1] if self.gamma >= 0 else powers))
         symbols, nominal = (y, v, ca.vertcat(alpha, gamma, g)), tuple(self.parameters.values())
         return self._model("chain", symbols, (1 + gamma, 1 - gamma), (2 + alpha, g), weights, nominal=nominal)
 

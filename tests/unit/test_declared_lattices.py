@@ -11,7 +11,8 @@ from lattice_referee import Referee
 from lattices import GAINS
 from scipy.optimize import linear_sum_assignment
 
-from casadi_skin import Bond, Lattice, OdeModel, Site, find_equilibrium, follow_family
+from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, find_equilibrium, follow_family
+from casadi_skin.dynamics.evolve import evolve
 from casadi_skin.lattice.linear import bands, lattice_modes
 
 CUBIC, ONE = "y + g*y^3", ("1", "1")
@@ -160,3 +161,23 @@ def test_forces_about_a_rest_state_keep_their_digits_at_small_displacements() ->
         assert float(force(u)) == pytest.approx(exact, rel=1e-14)
     with pytest.raises(ValueError, match="which is of first order; accepted: one of second order"):
         find_equilibrium(OdeModel("decay", y, -y), [0.0]).centred_model()
+
+
+# The energy of a chain ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gamma", [0.3, -0.3])
+def test_the_energy_of_an_orbit_of_a_chain_is_one_number(gamma: float) -> None:
+    """Of its family, of the lattice that it is, followed in a parameter, evolved in time, and in a proof."""
+    pytest.importorskip("flint")
+    chain = Chain(6, 1.0, gamma, -1.0)
+    orbit, lattice = (
+        follow_family(model, 1, 0.5).at(S=0.2) for model in (chain, Lattice(6, *chain.cell, "fixed", chain.parameters))
+    )
+    found = [
+        lattice.energy,
+        orbit.follow("alpha", 1.05).orbits[0].energy,
+        evolve(chain, orbit.profile, None, [0.0, 1.0]).energy[0],
+        *orbit.certify().energy,
+    ]
+    np.testing.assert_allclose(found, orbit.energy, rtol=1e-9)

@@ -693,14 +693,19 @@ def test_the_frequency_of_a_family_at_its_amplitude() -> None:
 
 
 def test_the_energy_of_a_family_is_that_of_its_model() -> None:
-    """E = f(bond S) / bond of the FPUT-beta lattice; that of a chain is one of its gauge."""
+    """E = f(bond S) / bond of the FPUT-beta lattice; that of a chain by differences of its families."""
     orbit = follow_family(fput(4), 1, 1.0, at=[0.8], tolerance=1e-10).at(S=0.8)
     found = orbit.gradient("energy")
     assert found.value == pytest.approx(orbit.energy, rel=1e-10)
     assert found["bond"] == pytest.approx(0.8 * found["S"] - found.value, abs=1e-11)
+
+    def energy(gamma: float) -> float:
+        return float(follow_family(Chain(4, 1.0, gamma, -1.0), 1, 0.5, tolerance=1e-11).at(S=0.2).energy)
+
     chained = follow_family(Chain(4, 1.0, 0.25, -1.0), 1, 0.5, at=[0.2], tolerance=1e-9).at(S=0.2)
-    with pytest.raises(ValueError, match="energy in a gauge"):
-        chained.gradient("energy")
+    found = chained.gradient("energy")
+    assert found.value == pytest.approx(chained.energy, rel=1e-9)
+    assert found["gamma"] == pytest.approx((energy(0.251) - energy(0.249)) / 0.002, rel=1e-5)
 
 
 def test_a_fold_of_a_family_scales_with_the_cubic_force() -> None:
