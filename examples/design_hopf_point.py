@@ -48,9 +48,11 @@ def draw(result: Design) -> Figure:
     figure = Figure(figsize=(5.6, 3.8), layout="constrained")
     axes = figure.subplots()
     sigma, beta = np.meshgrid(np.linspace(8.0, 12.0, 81), np.linspace(2.2, 4.2, 81))
-    lines = axes.contour(sigma, beta, hopf_of(sigma, beta), levels=np.arange(20, 45, 2.5), colors="0.7", linewidths=0.8)
+    others = [r for r in np.arange(20, 45, 2.5) if r != 30.0]
+    lines = axes.contour(sigma, beta, hopf_of(sigma, beta), levels=others, colors="0.7", linewidths=0.8)
     axes.clabel(lines, fmt="r = %g", fontsize=7)
-    axes.contour(sigma, beta, hopf_of(sigma, beta), levels=[30.0], colors="tab:blue", linewidths=1.2)
+    limit = axes.contour(sigma, beta, hopf_of(sigma, beta), levels=[30.0], colors="tab:blue", linewidths=1.2)
+    axes.clabel(limit, fmt="r = %g", fontsize=7, manual=[(11.2, 3.57)])  # off the way of the design
     result.plot(axes)
     axes.legend(loc="lower right")
     return figure

@@ -444,11 +444,11 @@ def pareto_front(
     subject_to: Sequence[Any] = (),
     bounds: Mapping[str, Any] | None = None,
 ) -> ParetoFront:
-    """The front of the least `first` against the least `second` quantity, by a sweep of bounds of the second.
+    """The front of the least `first` against the least `second` quantity, by a sweep of bounds.
 
     Arguments:
         first, second: names of quantities, or formulas.
-        points: number of points.
+        points: number of points, evenly along the line between the ends, both quantities over their ranges.
         of, over, starts, seed, tolerance, subject_to, bounds: as in `optimise`; each point starts from the one
             before as well.
 
@@ -458,28 +458,28 @@ def pareto_front(
     whole("points", points, 2)
     checked_conditions(subject_to, (str, Callable), "a function of what is located", "subject_to")
 
-    def least(quantity: str, limit: float | None = None, near: Sequence[Design] = ()) -> Design:
-        held = [*subject_to, (first, None, None), (second, None, limit)]
-        problem = DesignProblem.of(quantity, of, over, held, bounds, False)
-        own = problem.places(starts, seed)
-        return best_design(problem, [*(design.path[-1] for design in near), *own], tolerance)
+    def least(quantity: str, near: Sequence[Design] = (), *held: tuple[str, None, float]) -> Design:
+        known = [*subject_to, (first, None, None), (second, None, None), *held]
+        problem = DesignProblem.of(quantity, of, over, known, bounds, False)
+        return best_design(problem, [*(one.path[-1] for one in near), *problem.places(starts, seed)], tolerance)
 
-    def both(design: Design) -> tuple[float, float]:
-        values = [float(design.conditions[name][0]) for name in (first, second)]
-        return values[0], values[1]
+    def both(design: Design) -> Array:
+        return np.array([design.conditions[name][0] for name in (first, second)])
 
     ends = [least(second), least(first)]
     for end in ends:
         if not end.found:
             raise ValueError(f"pareto_front: the least {end.quantity} has no optimum: {end.reason}")
-    low, high = (both(end)[1] for end in ends)
-    designs, near = list[Design](), ends[0]
-    for limit in np.linspace(low, high, points)[
-        :-1
-    ]:  # the first has the least `first` of those with the least `second`
-        design = least(first, float(limit), [near])
-        designs.append(design)
-        near = design if design.found else near
+    # The first point has the least `first` of those with the least `second`; the others are evenly along the line from
+    # this to the last one, both quantities over their ranges, and are the best there.
+    designs = [least(first, ends[:1], (second, None, both(ends[0])[1]))]
+    near = designs[0] if designs[0].found else ends[0]
+    ranges, limits = np.abs(both(near) - both(ends[1])), np.array([both(near), both(ends[1])])
+    if np.all(ranges > 0.0):
+        place = f"({second})/{ranges[1]:.17g} - ({first})/{ranges[0]:.17g}"
+        for limit in np.linspace(*(limits / ranges) @ [-1.0, 1.0], points)[1:-1]:
+            designs.append(least(first, [near], (place, None, limit)))
+            near = designs[-1] if designs[-1].found else near
     every = [*designs, ends[1]]
     found = [one for design in every if design.found for one in (design, *design.others)]
     values = np.array([both(one) for one in found])

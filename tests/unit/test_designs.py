@@ -251,6 +251,24 @@ def test_a_pareto_front_is_that_of_plain_families() -> None:
     assert not np.any(np.all(others[:, None] < front.values - 1e-6, axis=2))
 
 
+def test_a_front_with_a_concave_part_is_found_where_weights_find_its_ends_alone() -> None:
+    """Of the state (a, 1 - 3 a^2 + 2 a^3) the front over a from 0 to 1 is concave below a = 1/2."""
+    x, y, a = (ca.SX.sym(name) for name in "xya")
+    model = OdeModel("front", ca.vertcat(x, y), ca.vertcat(a - x, 1 - 3 * a**2 + 2 * a**3 - y), a)
+    state = find_equilibrium(model, [0.3, 0.8], parameters={"a": 0.3})
+    asked: dict[str, Any] = {"over": ["a"], "bounds": {"a": (0.0, 1.0)}}
+    front = pareto_front("x", "y", state, points=9, **asked)
+    assert (front.complete, front.dominated, len(front.points)) == (True, 0, 9)
+    places = front.values[:, 0]
+    np.testing.assert_allclose(front.values[:, 1], 1 - 3 * places**2 + 2 * places**3, rtol=0, atol=1e-9)
+    assert np.sum((places > 0.02) & (places < 0.5)) >= 3
+    apart = np.linalg.norm(np.diff(front.values, axis=0), axis=1)  # both ranges are 1
+    assert np.max(apart) < 1.415 * np.min(apart)
+    for weight in np.linspace(0.1, 0.9, 9):
+        least = optimise(f"{weight}*x + {1 - weight}*y", state, starts=4, **asked)
+        assert least["a"] < 1e-6 or least["a"] > 0.5
+
+
 # Designs of special points, equilibria and orbits ---------------------------------------------------------------------
 
 
