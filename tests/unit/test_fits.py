@@ -90,6 +90,25 @@ def test_a_torus_and_a_branch_point_of_cycles_are_fitted() -> None:
         fit_parameters([(other, 0.8, 0.02)], over=["e"])
 
 
+def test_a_doubling_is_fitted() -> None:
+    """At a = k^2: beside a cycle (u, v) = R(theta/2) (p, q), which a period turns by pi, with p' = (a - k^2) p."""
+    x, y, u, v, a, k = symbols("x y u v a k")
+    growth, grows, falls = 1 - x**2 - y**2, a - k**2, 0.7
+    mean, half, least = (grows - falls) / 2, (grows + falls) / 2, u**2 + v**2
+    rhs = [growth * x - y, growth * y + x, (mean - least) * u + half * (x * u + y * v) - v / 2,
+           (mean - least) * v + half * (y * u - x * v) + u / 2]  # fmt: skip
+    model = OdeModel("half turn", ca.vertcat(x, y, u, v), ca.vertcat(*rhs), ca.vertcat(a, k))
+    guess = lambda t: [np.cos(t), np.sin(t), 0.0, 0.0]  # noqa: E731
+    orbit = find_orbit(model, guess, 2.0 * np.pi, parameters={"a": -0.3, "k": 0.2}, tolerance=1e-9)
+    (doubling,) = orbit.follow("a", 0.5, stability=True).special_points
+    assert doubling.kind == "period doubling"
+    fit = fit_parameters([(doubling, 0.09, 0.01)], over=["k"])
+    assert fit.found
+    assert fit["k"] == pytest.approx(0.3, abs=1e-8)
+    assert fit.deviations["k"] == pytest.approx(0.01 / 0.6, rel=1e-6)
+    assert fit.located[0].parameters["a"] == pytest.approx(0.09, abs=1e-8)
+
+
 @pytest.mark.slow
 def test_edges_of_tongues_are_fitted() -> None:
     near, planted = (
