@@ -55,6 +55,18 @@ def test_energy_cusp() -> None:
     assert abs(brentq(least, 0.15, 0.16, xtol=1e-8) - result["gamma"]) < 1e-5
 
 
+def test_first_instability() -> None:
+    """The edge watched at first alone is at S = 2.06 where the family is unstable from 1.54 on."""
+    example = load("design_first_instability")
+    result = example.main()
+    assert result.found
+    assert len(result.located) == 2
+    assert abs(result["gamma"] - 0.3575000) < 1e-6
+    first = [example.family(result["gamma"] + off).changes[0].S for off in (0.0, -0.01, 0.01)]
+    assert abs(result.value - first[0]) < 1e-8
+    assert result.value > max(first[1:])
+
+
 def test_pareto_front() -> None:
     front = load("design_pareto").main(points=4)
     assert front.complete
