@@ -25,9 +25,8 @@ from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statement import named_values
 
 Quantity = str | Callable[..., Any]
-Rows = tuple[
-    Array, Array
-]  # objective and constraints, (rows,), and their derivatives by the free numbers, (rows, over)
+# Objective and constraints, shape (rows,), and their derivatives by the free numbers, shape (rows, over).
+Rows = tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)

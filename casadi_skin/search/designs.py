@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, repeat, takewhile
+from itertools import takewhile
 from typing import Any
 
 import casadi as ca
@@ -122,11 +122,6 @@ class Conditions:
     worst: str
     bounds: Sequence[tuple[Bound, float]]
 
-    @property
-    def holds(self) -> bool:
-        """Whether it is an optimum."""
-        return self.optimality <= OPTIMAL and self.violation <= FEASIBLE
-
 
 class Sought(Exception):  # noqa: N818
     """Ends SLSQP."""
@@ -147,7 +142,7 @@ class Search:
     def __init__(self, problem: DesignProblem, progress: Callable[[str], None] | None) -> None:
         function_of("progress", progress, "words")
         self.problem, self.progress, self.sign = problem, progress, -1.0 if problem.maximise else 1.0
-        self.known = [Place(np.repeat(problem.values, problem.counts), problem.things)]
+        self.known = [Place(np.repeat(problem.values, problem.counts), problem.things)]  # the last one at the end
         self.path, self.values = list[Array](), list[float]()
         self.limits = np.array([row[1:] for row in problem.rows]).reshape(-1, 2).T  # of the constraints
         self.sizes = np.zeros(1 + len(problem.rows))  # of the largest scaled gradients on the way
@@ -155,11 +150,6 @@ class Search:
         self.infeasible = False  # whether the constraints cannot be met near the last end
 
     # Designs --------------------------------------------------------------------------------------------------------
-
-    @property
-    def last(self) -> Place:
-        """The last design."""
-        return self.known[-1]
 
     def moved(self, p: Array) -> tuple[LocatedThing, ...] | None:
         """Everything at p, by continuation from the nearest known design, in halved steps where one is too long."""
@@ -192,10 +182,7 @@ class Search:
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(slopes))):
             return None
         self.sizes = np.maximum(self.sizes, np.max(np.abs(slopes * self.problem.scales), axis=1))
-        self.known = [
-            *(place for place in self.known[-MOST_KNOWN:] if place.rows is not None),
-            Place(p.copy(), things, found),
-        ]
+        self.known = [*self.known[-MOST_KNOWN:], Place(p.copy(), things, found)]
         self.first = self.first if self.first.size else self.heights(found)
         self.path.append(p.copy())
         self.values.append(float(rows[0]))
@@ -208,7 +195,7 @@ class Search:
         """The end of SLSQP, on finer discretisations until it is at the tolerance."""
         while self.rows(p) is not None:
             p, words = self._solved(p)
-            conditions, things = self.conditions(p), self.last.things
+            conditions, things = self.conditions(p), self.known[-1].things
             finer, (error, slope_error) = [thing.finer for thing in things], self._errors(conditions)
             if error <= tolerance * max(map(abs, self.values)) or all(thing is None for thing in finer):
                 return self._optimum(p, conditions, (error, slope_error), words)
@@ -258,10 +245,8 @@ class Search:
 
         first, scales, ends, (lows, highs) = self.rows(p), self.problem.scales, self.problem.ends, self.limits
         assert first is not None
-        last: Rows = first
-        heights = self.first if nearest else self.heights(last)
-        factor, offset, tried = self.sign / (self.sizes[0] or 1.0), first[0][0], p
-        unit, missed = 1.0, list[float]()
+        last, tried, missed, unit = first, p, list[float](), 1.0
+        factor, heights = self.sign / (self.sizes[0] or 1.0), self.first if nearest else self.heights(first)
 
         def at(x: Array) -> tuple[Array, Array, bool]:
             """The rows at x and their derivatives by it, those of the last design where it is not located."""
@@ -274,7 +259,7 @@ class Search:
             """The objective; or half the sum of squares of violations, over that at the start."""
             rows, slopes, there = at(x)
             if not nearest:
-                return factor * (rows[0] - offset) if there else FAR_WORSE, factor * slopes[0]
+                return factor * (rows[0] - first[0][0]) if there else FAR_WORSE, factor * slopes[0]
             off = (np.maximum(rows[1:] - highs, 0.0) - np.maximum(lows - rows[1:], 0.0)) / heights
             return off @ off / (2.0 * unit) if there else FAR_WORSE, (off / heights) @ slopes[1:] / unit
 
@@ -291,8 +276,7 @@ class Search:
                 raise Sought
 
         unit = value(p / scales)[0] or 1.0 if nearest else 1.0
-        equal, constraints = lows == highs, list[dict[str, Any]]()
-        rows = np.arange(1, lows.size + 1)
+        equal, constraints, rows = lows == highs, list[dict[str, Any]](), np.arange(1, lows.size + 1)
         for kind, which, bounds, side in (
             ("eq", equal, lows, 1.0), ("ineq", np.isfinite(lows) & ~equal, lows, 1.0),
             ("ineq", np.isfinite(highs) & ~equal, highs, -1.0),
@@ -311,16 +295,15 @@ class Search:
             end, words = np.clip(result.x * scales, *ends), " ".join(str(result.message).split())
         except Sought:
             end, words = tried, "violations do not fall"
-        return (end if self.rows(end) is not None else self.last.p), words
+        return (end if self.rows(end) is not None else self.known[-1].p), words
 
     # Conditions of optimality ---------------------------------------------------------------------------------------
 
     def heights(self, found: Rows) -> Array:
         """Sizes of constraints, in which violations are measured: of their scaled gradients, and a part of values."""
-        rows, slopes = found[0][1:], found[1][1:] * self.problem.scales
-        ends = np.where(np.isfinite(self.limits), np.abs(self.limits), np.abs(rows))
-        flat = FLAT * np.maximum(self.sizes[1:], np.max([*ends, np.abs(rows)], axis=0))
-        heights = np.maximum(np.max(np.abs(slopes), axis=1), flat)
+        values = np.abs([found[0][1:], *self.limits])
+        flat = FLAT * np.maximum(self.sizes[1:], np.max(np.where(np.isfinite(values), values, 0.0), axis=0))
+        heights = np.maximum(np.max(np.abs(found[1][1:] * self.problem.scales), axis=1), flat)
         return np.where(heights > 0.0, heights, 1.0)
 
     def conditions(self, p: Array) -> Conditions:
@@ -329,21 +312,19 @@ class Search:
 
         problem, found = self.problem, self.rows(p)
         assert found is not None
-        (rows, slopes), size = (found[0], found[1] * problem.scales), self.sizes[0] or 1.0
+        scales, rows, slopes = problem.scales, found[0], found[1] * problem.scales
         active, violation, worst = list[Bound](), 0.0, ""
-        own = zip(repeat(0), problem.over, p, np.diag(problem.scales), problem.scales, *problem.ends)
-        names = [name for name, *_ in problem.rows]
-        constraints = zip(
-            range(1, rows.size), names, rows[1:], slopes[1:], self.heights(found), *self.limits, strict=True
-        )
-        for row, name, value, normal, height, *ends in chain(own, constraints):
+        names, limits = [*problem.over, *(row[0] for row in problem.rows)], np.hstack([problem.ends, self.limits])
+        normals, heights = np.vstack([np.diag(scales), slopes[1:]]), np.append(scales, self.heights(found))
+        numbered = zip(names, np.append(p, rows[1:]), normals, heights, *limits, strict=True)
+        for row, (name, value, normal, height, *ends) in enumerate(numbered, start=1 - p.size):
             gap = max(ends[0] - value, value - ends[1], 0.0)
             if gap / height > violation:
                 violation, worst = gap / height, f"{name} is off by {gap:.3g}"
             for end, side, sign in zip(ends, (1.0, -1.0), (">=", "<="), strict=True):
                 if side * (value - end) <= NEAR_BOUND * height:
                     words = f"{name} {'=' if ends[0] == ends[1] else sign} {end:.10g}"
-                    active.append(Bound(words, side * normal, row, side * (value - end), side))
+                    active.append(Bound(words, side * normal, max(row, 0), side * (value - end), side))
         left, weights = self.sign * slopes[0], np.zeros(len(active))
         if active:
             normals = np.array([bound.normal for bound in active]).T
@@ -351,27 +332,25 @@ class Search:
             weights = nnls(normals / heights, left)[0] / heights
             left = left - normals @ weights
         bounds = list(zip(active, weights.tolist(), strict=True))
-        return Conditions(float(np.max(np.abs(left))) / size, violation, worst, bounds)
+        return Conditions(float(np.max(np.abs(left))) / (self.sizes[0] or 1.0), violation, worst, bounds)
 
     def _errors(self, conditions: Conditions) -> tuple[float, float]:
         """Estimated errors of the value, also by what the constraints are off by, and of the optimality."""
-        rows, slopes = self.problem.errors(self.last.things)
-        held = sum(
-            weight * (rows[bound.row] + (0.0 if self.infeasible else abs(bound.gap)))
-            for bound, weight in conditions.bounds if bound.row
-        )  # fmt: skip
+        rows, slopes = self.problem.errors(self.known[-1].things)
+        off = 0.0 if self.infeasible else 1.0
+        held = sum(weight * (rows[b.row] + off * abs(b.gap)) for b, weight in conditions.bounds if b.row)
         left = float(np.max(slopes[0] * self.problem.scales)) / (self.sizes[0] or 1.0)
         return float(rows[0] + held + EPSILON * abs(self.values[-1])), left
 
     def _optimum(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
-        problem, multipliers, (_, things, rows) = self.problem, dict[str, float](), vars(self.last).values()
+        problem, multipliers, (_, things, rows) = self.problem, dict[str, float](), vars(self.known[-1]).values()
         for bound, weight in conditions.bounds:
             multipliers[bound.words] = multipliers.get(bound.words, 0.0) + self.sign * bound.side * weight
         ending, reason = Ending.FOUND, optimum_words(multipliers)
         if conditions.violation > FEASIBLE:
             ending = Ending.INFEASIBLE
             reason = f"{ending.value}; {conditions.worst} at the nearest design"
-        elif not conditions.holds:
+        elif conditions.optimality > OPTIMAL:
             ending = Ending.NO_OPTIMUM
             reason = f"{ending.value}, {conditions.optimality:.1e} of the gradient is left: {words}"
         values = np.split(rows[0][1:], np.cumsum(problem.sizes)[:-1]) if problem.sizes else []
@@ -477,7 +456,8 @@ def pareto_front(
     ranges, limits = np.abs(both(near) - both(ends[1])), np.array([both(near), both(ends[1])])
     if np.all(ranges > 0.0):
         place = f"({second})/{ranges[1]:.17g} - ({first})/{ranges[0]:.17g}"
-        for limit in np.linspace(*(limits / ranges) @ [-1.0, 1.0], points)[1:-1]:
+        begin, stop = (limits / ranges) @ np.array([-1.0, 1.0])
+        for limit in np.linspace(begin, stop, points)[1:-1]:
             designs.append(least(first, [near], (place, None, limit)))
             near = designs[-1] if designs[-1].found else near
     every = [*designs, ends[1]]

@@ -118,7 +118,7 @@ def fit_parameters(
     held = ", ".join(name for name, inside in zip(problem.over, free, strict=True) if not inside)
     reason = f"{'the' if found else 'no'} least sum of squares; {len(search.path)} sets of parameters"
     values, errors = (dict(zip(problem.over, numbers.tolist(), strict=True)) for numbers in (end.x, deviations))
-    located_there = tuple(search.last.things[n].solution for n, *_ in rows)
+    located_there = tuple(search.known[-1].things[n].solution for n, *_ in rows)
     return Fit(
         values, errors, covariance / np.outer(deviations, deviations), tuple(row[1:] for row in rows), residuals,
         located_there, found, reason + (f"; on a bound: {held}" if held else ""),
