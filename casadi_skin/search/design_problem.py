@@ -134,9 +134,15 @@ class DesignProblem:
 
     @cached_property
     def scales(self) -> Array:
-        """Ranges of the free numbers, or their own sizes, shape (over,)."""
-        (low, high), own = self.ends, np.repeat([abs(value) or 1.0 for value in self.values], self.counts)
-        return np.where(np.isfinite(high - low), high - low, own)
+        """Ranges of the free numbers, or their own sizes, shape (over,); of a 0 without range the size for which its
+        derivative of the objective is as large as those by the others, or as the objective, where there is one."""
+        (low, high), own = self.ends, np.repeat(np.abs(self.values), self.counts)
+        found = np.where(np.isfinite(high - low), high - low, own)
+        if np.any(found == 0.0):
+            rows, slopes = self.evaluated(self.things)
+            size, by = np.max(np.abs(slopes[0] * found)) or abs(rows[0]), np.abs(slopes[0])
+            found = np.where(found > 0.0, found, np.divide(size, by, out=np.ones_like(by), where=by * size != 0.0))
+        return found
 
     @cached_property
     def rows(self) -> list[tuple[str, float, float]]:

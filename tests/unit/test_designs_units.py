@@ -116,3 +116,15 @@ def test_the_nearest_design_is_that_of_the_closed_form_in_all_units(seed: int) -
         assert "the constraints are not met" in design.reason
         assert [design["a"] / units[2], design["c"] / units[3]] == pytest.approx([a, nearest], abs=1e-6)
         assert len(design.path) < 100
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6, 1e-6])
+def test_a_parameter_that_is_zero_has_no_unit_of_its_own(unit: float) -> None:
+    """Without bounds nothing but the derivatives tells how large p is to become."""
+    u, p, q = (ca.SX.sym(name) for name in "upq")
+    x, y = p / unit - 1, q - 2
+    model = OdeModel("rest", u, x**2 + y**2 + x**4 + x * y / 2 - u, ca.vertcat(p, q))
+    state = find_equilibrium(model, [3.5], parameters={"p": 0.0, "q": 1.0})
+    design = optimise("u", state, over=["p", "q"])
+    assert design.found
+    assert [design["p"] / unit, design["q"]] == pytest.approx([1.0, 2.0], abs=1e-6)
