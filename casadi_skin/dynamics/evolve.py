@@ -30,6 +30,7 @@ from casadi_skin.model.integrators import (
     IntegrationError,
     Integrator,
     Trajectory,
+    consistent,
     far_state,
     fastest_frequency,
     finite_trajectory,
@@ -214,6 +215,7 @@ def evolve(
     equations = equations_of_motion(model, parameters)
     _check_choices(method, tolerance, coordinates, step)
     times, start = _times(t), _start(equations, positions, velocities)
+    start = consistent(equations.physical, equations.values, start)
     if coordinates is None:
         coordinates = GAUGE if equations.gauge_is_default else PHYSICAL
     model, values, scale = equations.in_coordinates(coordinates)
@@ -480,7 +482,7 @@ def simulate(
     parameters: Mapping[str, float] | None = None,
     tolerance: float = 1e-9,
 ) -> Evolution:
-    """Follow a model in time by CVODES with formulas for stiff equations (BDF).
+    """Follow a model in time by CVODES with formulas for stiff equations (BDF), one with algebraic equations by IDAS.
 
     Arguments:
         model: any model; one of second order is followed in positions and velocities.
@@ -508,6 +510,7 @@ def simulate(
         raise ValueError(f"t: given {short_repr(times.tolist())}; accepted: two or more times, ascending")
     if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
         raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
+    x = consistent(equations.physical, equations.values, x, float(times[0]))
     later = simulated(equations.physical, equations.values, x, times, tolerance)
     states = np.vstack([x[None], later.states])
     return Evolution(equations, times, states, "cvodes", tolerance, PHYSICAL, later.evaluations)

@@ -67,7 +67,7 @@ from casadi_skin.zero.orbit import (
 from casadi_skin.zero.problem import Array, SingularError
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
-from casadi_skin.zero.statement import Bounds, Statement
+from casadi_skin.zero.statement import Bounds, Statement, named_values
 
 # Periodic orbits of any model: autonomous, forced, conservative, reversible; closed or rotating -----------------------
 
@@ -126,10 +126,11 @@ def find_orbit(
         raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
     turns = rotations_of(model, rotations, truth("symmetric", symmetric))
     check_orbit(model, period, select, section, symmetric, cycles, free)
+    length = 0.0 if model.forced else guessed_period(guess, period)
+    model = model.decaying(lambda _: TWO_PI / (length or cycles * _forcing_period(model, parameters)))
     first = model.first_order()
     stated = {"section": section, "objective": objective, "running": running}
     section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())
-    length = 0.0 if model.forced else guessed_period(guess, period)
     if not model.forced:
         guess = over_its_own_period(guess, first.state_names, length, TWO_PI * turns)
     symmetry = SymmetryClass.FULL
@@ -160,6 +161,10 @@ def find_orbit(
         kept = " or ".join(f"the {name}" for name in quantities(model))
         raise BoundaryError(f"{model.name}: {words}: {kept} is not conserved, or the orbit is degenerate")
     return orbit
+
+
+def _forcing_period(model: OdeModel, parameters: Mapping[str, float] | None) -> float:
+    return model.forcing_period_at(list(named_values(model, parameters).values()))
 
 
 def rotations_of(model: OdeModel, given: Mapping[str, int] | None, symmetric: bool = False) -> Array:

@@ -383,9 +383,9 @@ def find_equilibrium(
         IntegrationError: the simulation fails.
     """
     statics = _statics(model, parameters)
-    model = statics.model
     _check(tolerance, corrector)
-    start = positions_of(model, guess)
+    start = positions_of(statics.model, guess)
+    statics = statics.decaying(start)
     with one_thread(), np.errstate(all="ignore"):  # of equations that are not finite somewhere
         if transient is None:
             return _near(EquilibriumSpace(statics, float(tolerance), corrector, sizes_of(statics, [start])), start)
@@ -425,6 +425,7 @@ def find_equilibria(
     model = statics.model
     _check(tolerance, corrector)
     low, high = positions_of(model, lower, "lower"), positions_of(model, upper, "upper")
+    statics = statics.decaying(0.5 * (low + high))
     if not np.all(low <= high):
         raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")
     whole("starts", starts, 1, MOST_STARTS)

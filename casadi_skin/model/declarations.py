@@ -15,9 +15,11 @@ import numpy as np
 from casadi_skin.model.arguments import number, numbers, short_repr, truth
 from casadi_skin.model.equations import Array, Equations
 from casadi_skin.model.expressions import Expression, expression_of, symbols_of
+from casadi_skin.model.implicit import mass_matrix
 
 ACCEPTED_NAMES = "names in one line"
 ACCEPTED_PERIODS = "a number > 0, or an expression in parameters"
+ACCEPTED_RATES = "a number > 0, in units of 1/time"
 NEEDED_FIELDS = ("rhs", "outputs", "conserved", "symmetries")  # where None is a mistake
 
 
@@ -101,7 +103,19 @@ def _converters(found: Mapping[str, Expression], size: int) -> dict[str, Callabl
             raise TypeError(f"{label}: given {short_repr(given)}; accepted: a list of {ACCEPTED_NAMES}")
         return tuple(given)
 
+    def rate(label: str, given: Any) -> float:
+        if number(label, given, ACCEPTED_RATES) <= 0:
+            raise ValueError(f"{label}: given {given!r}; accepted: {ACCEPTED_RATES}")
+        return float(given)
+
+    def mass(label: str, given: Any) -> ca.SX:
+        if not isinstance(state, ca.SX) or size != state.numel():
+            kind = "in MX" if isinstance(state, ca.MX) else "of second order"
+            raise ValueError(f"{label}: given with a model {kind}; accepted: one of first order in SX")
+        return mass_matrix(given, found["parameters"], size)
+
     return {
+        "mass": mass, "decay": rate,
         "rhs": expression, "normalisation": scalar, "hamiltonian": scalar, "outputs": group, "conserved": group,
         "symmetries": group, "forcing_period": period, "output_scale": numbers, "nominal": numbers,
         "reversal": signs, "half_period": signs, "state_labels": names, "parameter_labels": names,
@@ -153,6 +167,8 @@ def _faults(model: Equations) -> Iterator[str]:
     yield from _strangers(model, symbols)
     if model.velocity is not None and ca.depends_on(model.rhs, model.velocity):
         yield "a second-order right-hand side that depends on velocity; write first order"
+    if model.decay is not None and model.mass is None:
+        yield "decay: given without mass; accepted: with a mass matrix that is singular"
     if model.hamiltonian is not None and model.forced:
         yield "a hamiltonian in a model that is forced; accepted: without time, where it is conserved"
     if model.conserved and model.forced:
@@ -221,7 +237,7 @@ def _strangers(model: Equations, symbols: list[Expression]) -> Iterator[str]:
 ROUND_OFF = 1e-12  # of the size of the right-hand side
 
 
-def check_symmetries(model: Equations, trials: int, seed: int) -> None:
+def check_symmetries(model: Any, trials: int, seed: int) -> None:
     """Raises ValueError naming the first symmetry or conserved quantity that does not hold at random points."""
     kept = {"hamiltonian": model.hamiltonian} if model.hamiltonian is not None else {}
     kept |= {f"conserved {name}": quantity for name, quantity in model.conserved.items()}
@@ -234,6 +250,7 @@ def check_symmetries(model: Equations, trials: int, seed: int) -> None:
     generator = np.random.default_rng(seed)
     for _ in range(trials):
         time, point, parameter = _finite_point(model, evaluate, generator)
+        point = point if model.implicit is None else model.implicit.consistent(time, point, parameter)
         value, *changes = (np.array(r).ravel() for r in evaluate.call([time, point, parameter]))
         scale = ROUND_OFF * (1.0 + np.abs(value).max())
         half = 0.5 * model.forcing_period_at(parameter)

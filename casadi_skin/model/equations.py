@@ -42,6 +42,8 @@ class Equations:
     state_labels: tuple[str, ...] | None = None
     parameter_labels: tuple[str, ...] | None = None
     checked: bool = True
+    mass: Any = None
+    decay: float | None = None
 
     @property
     def size(self) -> int:

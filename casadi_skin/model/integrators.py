@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -116,7 +116,7 @@ class CvodesOptions:
     sensitivity_errors: bool = False
 
     def integrator(self, name: str, dae: dict[str, Any], times: Sequence[float]) -> ca.Function:
-        """CasADi's integrator of a DAE (x, p, ode, and t where it is forced) from the first time to all others."""
+        """CasADi's integrator of a DAE (x, p, ode, and t, z, alg where it has them) between its times."""
         options: dict[str, Any] = {
             "reltol": self.rtol,
             "abstol": self.atol,
@@ -130,21 +130,24 @@ class CvodesOptions:
             options["nonlin_conv_coeff"] = self.iteration
         if self.sensitivity_errors:
             options["fsens_err_con"] = True
-        return ca.integrator(name, "cvodes", dae, float(times[0]), [float(t) for t in times[1:]], options)
+        solver = "idas" if "alg" in dae else "cvodes"
+        return ca.integrator(name, solver, dae, float(times[0]), [float(t) for t in times[1:]], options)
 
     def transition(self, name: str, dae: dict[str, Any]) -> ca.Function:
         """Function (x0, p) -> state at the time 1 and its derivative with respect to x0 at the time 0."""
         return self.integrator(name, dae, (0.0, 1.0)).factory(name, ["x0", "p"], ["xf", "jac:xf:x0"])
 
 
-def run_cvodes(function: ca.Function, start: Array, parameters: Array, end_solver: bool = False) -> dict[str, ca.DM]:
+def run_cvodes(
+    function: ca.Function, start: Array, parameters: Array, end_solver: bool = False, **algebraic: Array
+) -> dict[str, ca.DM]:
     """Results by name of an integrator, or of the `transition` of one; raises CvodesError.
 
     An interruption waits for the result, or ends CVODES at once where `end_solver`.
     """
     try:
         with interrupts_deferred(end_solver):
-            results: dict[str, ca.DM] = function(x0=start, p=parameters)
+            results: dict[str, ca.DM] = function(x0=start, p=parameters, **algebraic)
             return results
     except RuntimeError as error:
         raise CvodesError(f"it {cvodes_reason(error)}") from error
@@ -152,7 +155,7 @@ def run_cvodes(function: ca.Function, start: Array, parameters: Array, end_solve
 
 def cvodes_reason(error: RuntimeError) -> str:
     """The outcome of CVODES, as in "returned CV_TOO_MUCH_WORK", from CasADi's message of several lines."""
-    flags = re.findall(r'returned "?(CV_\w+)', str(error))
+    flags = re.findall(r'returned "?((?:CV|IDA)_\w+)', str(error))
     return f"returned {flags[-1]}" if flags else "failed"
 
 
@@ -171,17 +174,18 @@ def followed_by_cvodes(
     blow-up is noticed soon.
     """
     grid = t if gap is None else np.union1d(t, np.arange(origin + gap, t[-1], gap))
-    integrator = options.integrator("evolution", dae, (origin, *grid))
+    integrator, n = options.integrator("evolution", dae, (origin, *grid)), dae["x"].numel()
     try:
-        states = np.array(run_cvodes(integrator, start, parameters, end_solver=True)["xf"]).T
+        found = run_cvodes(integrator, start[:n], parameters, end_solver=True, z0=start[n:])
+        states = np.array(ca.vertcat(found["xf"], found["zf"])).T
     except CvodesError as error:
         before = t[t <= integrator.stats()["tcur"]]
         whole = Trajectory(np.empty((0, start.size)), 0)
         if before.size:  # CasADi gives nothing of a run that fails: its good part is done again
             whole = followed_by_cvodes(dae, parameters, start, before, options, origin, gap)
         raise IntegrationError("cvodes", str(error), whole, t, origin) from error
-    found = Trajectory(states[np.searchsorted(grid, t)], int(integrator.stats()["nfevals"]))
-    return finite_trajectory("cvodes", found, t, origin)
+    trajectory = Trajectory(states[np.searchsorted(grid, t)], int(integrator.stats()["nfevals"]))
+    return finite_trajectory("cvodes", trajectory, t, origin)
 
 
 def cvodes(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance: float) -> Trajectory:
@@ -210,11 +214,28 @@ def stiff_cvodes(
 ) -> Trajectory:
     """States at the times t > `origin` by CVODES with BDF formulas, of any model: stiff, forced, or from an FMU.
 
-    There is an output at least every `gap`. Raises IntegrationError where CVODES fails.
+    By IDAS, which has the same formulas, where a model has algebraic equations, which the start has to meet. There is
+    an output at least every `gap`. Raises IntegrationError where it fails.
     """
     local = max(STIFF_SHARE * tolerance, TIGHTEST_LOCAL_TOLERANCE)
     options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
-    return followed_by_cvodes(_dae_of(model), parameters, start, t, options, origin, gap)
+    implicit = model.implicit
+    if implicit is None or not implicit.conditions:
+        return followed_by_cvodes(_dae_of(model), parameters, start, t, options, origin, gap)
+    dae, matrix = implicit.semi_explicit(parameters)
+    found = followed_by_cvodes(dae, parameters, matrix @ start, t, options, origin, gap)
+    return replace(found, states=np.asarray(np.linalg.solve(matrix, found.states.T).T, dtype=float))
+
+
+def consistent(model: OdeModel, parameters: Array, start: Array, time: float = 0.0) -> Array:
+    """A start that meets the algebraic equations of a model; raises IntegrationError where none is near."""
+    if model.implicit is None:
+        return start
+    try:
+        return model.implicit.consistent(time, start, parameters)
+    except ArithmeticError as error:
+        none = Trajectory(np.empty((0, start.size)), 0)
+        raise IntegrationError("idas", str(error), none, np.array([time]), time) from error
 
 
 def _dae_of(model: OdeModel) -> dict[str, Any]:
@@ -225,6 +246,7 @@ def _dae_of(model: OdeModel) -> dict[str, Any]:
 
 def simulated(model: OdeModel, parameters: Array, start: Array, times: Array, tolerance: float) -> Trajectory:
     """States at all but the first of the times by `stiff_cvodes`; raises IntegrationError with what runs away."""
+    start = consistent(model, parameters, start, float(times[0]))
     try:
         return stiff_cvodes(model, parameters, start, times[1:], tolerance, float(times[0]))
     except IntegrationError as error:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.declarations import check_declarations, check_symmetries, declarations
 from casadi_skin.model.equations import Equations
 from casadi_skin.model.expressions import Expression
+from casadi_skin.model.implicit import Implicit
 from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.pickled import reduced
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
@@ -40,6 +41,10 @@ class OdeModel(Equations, WithVerbs):
     of the parameters; components are called as their symbols unless labels are given. Where `checked`, the declared
     symmetries and the conserved quantity are evaluated at random points.
 
+    `mass` is M of a model of first order M x' = f(t, x, p): n x n numbers, or expressions in parameters, with a row
+    for each entry of `rhs`. It may be singular; no equilibrium, orbit, eigenvalue or multiplier depends then on
+    `decay`, the rate in 1/time at which states come to meet what is algebraic. Left out, it is a rate of the model.
+
     MX expressions are accepted in models of first order whose state and parameters are one symbol each.
 
     Symbols may be given as a list of scalars, expressions as lists, numbers or functions f(t, x, p) of the symbols.
@@ -51,6 +56,8 @@ class OdeModel(Equations, WithVerbs):
         for label, value in declarations(self).items():
             object.__setattr__(self, label, value)
         check_declarations(self)
+        if self.mass is not None:
+            self._solve_for_rates()
         if self.checked:
             self.check_symmetries()
 
@@ -59,6 +66,20 @@ class OdeModel(Equations, WithVerbs):
         parameters = ", ".join(self.parameter_names) or "none"
         return f"{type(self).__name__}({self.name!r}: {self.full_size} states; parameters {parameters})"
 
+    def _solve_for_rates(self) -> None:
+        """Put the right-hand side of x' = ... in place of that of M x' = ..."""
+        try:
+            implicit = Implicit.of(self, self.mass, self.decay or 1.0)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from error
+        if implicit.conditions and self.reversal is not None:
+            why = "given with a singular mass, whose algebraic equations are met as time goes on alone"
+            raise ValueError(f"{self.name}: reversal: {why}; accepted: a hamiltonian, or conserved quantities")
+        object.__setattr__(self, "implicit", implicit)
+        object.__setattr__(self, "rhs", implicit.rhs)
+
+    implicit: ClassVar[Implicit | None] = None
+    """M x' = f of a model with a mass matrix."""
     infinite: ClassVar[bool] = False
     """Whether it has infinitely many positions."""
     labels: ClassVar[tuple[tuple[str, float], ...]] = ()
@@ -139,8 +160,19 @@ class OdeModel(Equations, WithVerbs):
 
     def _changed(self, **changes: Any) -> OdeModel:
         """The equations and declarations with other fields, not checked again."""
-        own = {entry.name: getattr(self, entry.name) for entry in fields(OdeModel)}
+        own = {entry.name: getattr(self, entry.name) for entry in fields(OdeModel)} | {"rhs": self.given_rhs}
         return OdeModel(**own | changes | {"checked": False})
+
+    @property
+    def given_rhs(self) -> Expression:
+        """The right-hand side f of x' = f or M x' = f."""
+        return self.rhs if self.implicit is None else self.implicit.right
+
+    def decaying(self, rate: Callable[[Implicit], float]) -> OdeModel:
+        """The model whose algebraic equations, where it has some, are met at a rate unless it has one of its own."""
+        if self.implicit is None or not self.implicit.conditions or self.decay is not None:
+            return self
+        return self._changed(decay=rate(self.implicit))
 
     def with_parameter(self, name: str, expression: Expression) -> tuple[OdeModel, Expression]:
         """A plain model with one more parameter, its last, that picks an orbit; and the expression in its symbols."""
@@ -152,8 +184,8 @@ class OdeModel(Equations, WithVerbs):
                 return {key: moved(each) for key, each in value.items()}
             return None if value is None else ca.substitute(value, self.parameters, p[:count])
 
-        fields_in_p = ("rhs", "outputs", "conserved", "symmetries", "hamiltonian")
-        changes = {field: moved(getattr(self, field)) for field in fields_in_p}
+        fields_in_p = ("outputs", "conserved", "symmetries", "hamiltonian", "mass")
+        changes = {field: moved(getattr(self, field)) for field in fields_in_p} | {"rhs": moved(self.given_rhs)}
         changes |= {"parameters": p, "parameter_labels": (*self.parameter_names, name)}
         return self._changed(**changes, normalisation=None, nominal=None), moved(expression)
 

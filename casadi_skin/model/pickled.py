@@ -38,11 +38,17 @@ def column(symbols: Sequence[ca.SX]) -> ca.SX:
 
 def equations_of(model: Equations) -> tuple[list[str], ca.Function]:
     """A model's equations by name as one function (t, x, p); raises ValueError where they are those of a program."""
-    expressions = {"rhs": model.rhs} | {k: v for k in OPTIONAL_RESULTS if (v := getattr(model, k)) is not None}
+    expressions = {"rhs": getattr(model, "given_rhs", model.rhs)} | {
+        k: v for k in OPTIONAL_RESULTS if (v := getattr(model, k)) is not None
+    }
     for group, before in RESULT_GROUPS.items():
         expressions |= {f"{before}{name}": expression for name, expression in getattr(model, group).items()}
     if model.forcing_period is not None:
         expressions["forcing_period"] = type(model.state)(model.forcing_period)
+    if model.mass is not None:
+        expressions["mass"] = ca.vec(model.mass)
+    if model.decay is not None:
+        expressions["decay"] = ca.SX(model.decay)
     function = model.function("model", *expressions.values())
     programs = programs_in(function)
     if programs:
@@ -63,13 +69,17 @@ def made(
     groups: dict[str, Any] = {}
     for group, before in RESULT_GROUPS.items():
         groups[group] = {k.removeprefix(before): rest.pop(k) for k in list(rest) if k.startswith(before)}
-    unknown = sorted(set(rest) - {"rhs", "forcing_period", *OPTIONAL_RESULTS})
+    unknown = sorted(set(rest) - {"rhs", "forcing_period", "mass", "decay", *OPTIONAL_RESULTS})
     if unknown or "rhs" not in rest:
         raise ValueError(f"results: given {short_repr(unknown)}" if unknown else "results: no right-hand side")
     state = full
     if declared["order"] == 2:
         half = full.numel() // 2
         state, rest["velocity"] = full[:half], full[half:]
+    if "mass" in rest:
+        rest["mass"] = ca.reshape(rest["mass"], full.numel(), full.numel())
+    if "decay" in rest:
+        rest["decay"] = float(ca.evalf(rest["decay"]))
     rest |= {"state": state, "parameters": parameters, "time": time if forced else None}
     return kind(**declared, **rest, **groups)
 

@@ -76,12 +76,12 @@ def _growth(problem: Any, z: Array) -> Slopes:
     """The largest real part of an eigenvalue: d lambda = psi^H dA v / psi^H v."""
     from scipy.linalg import eig
 
-    statics, n = problem.statics, problem.states
-    A = statics.jacobian(problem.state(z), problem.parameters(z)) * problem.scale / problem.scale[:, None]
+    statics, n, at = problem.statics, problem.states, (problem.state(z), problem.parameters(z))
+    A = statics.jacobian(*at) * problem.scale / problem.scale[:, None]
     values, left, right = eig(A, left=True)
     second = statics.model.order == 2
     growth = np.sqrt(values.astype(complex)) if second else values
-    k = int(np.argmax(growth.real))
+    k = int(np.argmin(np.abs(growth - statics.spectrum(*at).values[0])))
     psi, v = left[:, k].conj(), np.append(right[:, k], np.zeros(z.size - n))
     found = Equations.of(problem).pulled(z, psi, v)
     factor = (2.0 * growth[k] if second else 1.0) * (psi @ right[:, k])

@@ -178,11 +178,15 @@ def _changes(problem: BoundaryProblem, jacobians: Array) -> Array:
     return bounds(2**squarings)
 
 
+def parts_of(problem: BoundaryProblem, counts: Indices) -> tuple[Array, Array]:
+    """Starts and lengths of so many parts of each interval."""
+    lengths = np.repeat(problem.constants / counts, counts)
+    return np.append(0.0, np.cumsum(lengths)[:-1]), lengths
+
+
 def maps_of_parts(problem: BoundaryProblem, z: Array, n: int, counts: Indices) -> Array:
     """Maps over so many parts of each interval, of the first n components."""
-    parts, interval = np.repeat(counts, counts), np.repeat(np.arange(counts.size), counts)
-    lengths, table = problem.constants[interval] / parts, problem.table
-    starts = np.append(0.0, np.cumsum(lengths)[:-1])
+    (starts, lengths), table = parts_of(problem, counts), problem.table
     places = (starts[:, None] + lengths[:, None] * table.nodes).ravel()
     together = problem.resolution * problem.degree + 1  # places that the equations evaluate together
     chosen = np.minimum(np.arange(-(-places.size // together) * together), places.size - 1)
@@ -226,7 +230,7 @@ class Closed:
 
     def found_at_once(self, with_rounding: bool) -> Array | None:
         """Multipliers by a kernel; None where more is known of an orbit than its velocity, or of many states."""
-        if self.turn is not None or not self.is_whole or not kernels():
+        if self.turn is not None or not self.is_whole or self.conditions or not kernels():
             return None
         problem, key = self.problem, ("multipliers", self.model)
         known = problem.discretisation.shared
@@ -264,6 +268,12 @@ class Closed:
     def is_whole(self) -> bool:
         """Whether the whole period is solved for."""
         return self.symmetry is SymmetryClass.FULL
+
+    @property
+    def conditions(self) -> int:
+        """Number of algebraic equations, which changes of the solution meet."""
+        implicit = self.model.implicit
+        return 0 if implicit is None else len(implicit.conditions)
 
     @cached_property
     def units(self) -> Array:
@@ -345,7 +355,7 @@ def _same(one: Array, other: Array) -> bool:
 
 def by_collocation(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
     """Multipliers from the interval maps of the linearised equations; `better` is the orbit on a finer mesh."""
-    if orbit.size >= MANY_STATES and orbit.is_whole and orbit.turn is None:
+    if orbit.size >= MANY_STATES and orbit.is_whole and orbit.turn is None and not orbit.conditions:
         with suppress(ManyLeadingError):
             return _by_leading(orbit, better, tolerance)
     left = 0.0 if better is None else orbit.problem.left_by(better.problem)
@@ -402,8 +412,11 @@ def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multip
     maps, by_part = interval_maps(jacobians, problem.constants, problem.table)
     contraction = orbit.contraction(by_part)
 
-    def multipliers(maps: Array, trivial: Trivial) -> Multipliers:
-        return multipliers_along(orbit.over_the_period(maps), trivial, orbit.units, contraction, with_rounding)
+    def multipliers(maps: Array, trivial: Trivial, starts: Array | None = None) -> Multipliers:
+        maps = orbit.over_the_period(maps)
+        if not orbit.conditions:
+            return multipliers_along(maps, trivial, orbit.units, contraction, with_rounding)
+        return _of_free_changes(orbit, maps, trivial, starts, contraction, with_rounding)
 
     trivial = orbit.trivial(tolerance)
     found = multipliers(maps, trivial)
@@ -413,10 +426,48 @@ def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multip
     if np.sum(counts) > min(MOST_PARTS, MOST_WORK / (problem.degree * n) ** 3):
         return replace(found, lost=True)
     parts = maps_of_parts(problem, orbit.z, n, counts)
-    by_parts = multipliers(parts, trivial.carried(parts, counts))
+    by_parts = multipliers(parts, trivial.carried(parts, counts), parts_of(problem, counts)[0])
     logs, other = found.others.logs, by_parts.others.logs
     as_good = (np.abs(logs) <= FAR_LOG_EIGENVALUE) & (np.abs(logs - other) <= SAME_LOG_ATOL)
     return by_parts.but(found, as_good)
+
+
+def _of_free_changes(
+    orbit: Closed,
+    maps: Array,
+    trivial: Trivial,
+    starts: Array | None,
+    contraction: tuple[float, float] | None,
+    with_rounding: bool,
+) -> Multipliers:
+    """Multipliers of changes that meet the algebraic equations, in orthonormal directions of these at starts of maps.
+
+    Arguments:
+        orbit: the solution.
+        maps: one after another over the period, shape (maps, n, n).
+        trivial: as these carry it.
+        starts: of the maps, as fractions of the period; None of those over intervals.
+        contraction: sign and logarithm of the determinant of their product.
+        with_rounding: as `multipliers_along` has it.
+    """
+    problem, units, implicit = orbit.problem, orbit.units, orbit.model.implicit
+    assert implicit is not None
+    states = orbit.ends if starts is None else problem.sample(orbit.z, starts)[:, : orbit.size]
+    places = np.append(0.0, np.cumsum(problem.constants)) if starts is None else starts
+    times = problem.statement.span(orbit._all_parameters)[0] + places * orbit.period
+    frames = implicit.frames(times[: len(maps)], states[: len(maps)], orbit.parameters, units)
+    frames = np.concatenate([frames, frames[:1]])
+    right, left = (
+        (trivial.right / units) @ frames[: len(trivial.right)],
+        (trivial.left * units) @ frames[: len(trivial.left)],
+    )
+    maps = frames[1:].swapaxes(1, 2) @ (maps * units / units[:, None]) @ frames[:-1]
+    if contraction is not None:  # others decay at their rates
+        contraction = contraction[0], contraction[1] + orbit.period * float(np.sum(implicit.rates))
+    within = replace(trivial, right=right, left=left)
+    found = multipliers_along(maps, within, np.ones(maps.shape[1]), contraction, with_rounding)
+    matrix = None if found.matrix is None else (frames[0] @ found.matrix @ frames[0].T) * units[:, None] / units
+    return replace(found, matrix=matrix)
 
 
 def by_cvodes(orbit: Closed, better: Closed | None, tolerance: float) -> Floquet:
@@ -443,6 +494,8 @@ def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipli
         raise IntegrationError("cvodes", str(error), empty, np.array([orbit.period])) from error
     trivial = orbit.trivial(tolerance)
     closed = replace(trivial, right=trivial.right[[0, -1]], left=trivial.left[[0, -1]])
+    if orbit.conditions:
+        return _of_free_changes(orbit, matrix[None], closed, None, None, with_rounding=True)
     return multipliers_along(matrix[None], closed, units)
 
 

@@ -81,6 +81,12 @@ class Statics:
             raise ValueError(f"model: given {self.model.name}, which is forced: {why}; accepted: one without time")
         _ = self.values
 
+    def decaying(self, x: Array) -> Statics:
+        """The same where algebraic equations decay at a rate that the others have near a state."""
+        p = np.array(list(self.values.values()))
+        model = self.model.decaying(lambda implicit: implicit.rate(x, p))
+        return self if model is self.model else Statics(model, self.given)
+
     @cached_property
     def values(self) -> dict[str, float]:
         """Value of each parameter by name, in the model's order."""
@@ -226,7 +232,11 @@ class Statics:
         `moved` is the estimated error of x, shape (n,), which the errors of eigenvalues include to first order, beside
         rounding by the condition of each (Wilkinson 1965).
         """
-        linear = self.linearised(x, p, moved)
+        linear, implicit = self.linearised(x, p, moved), self.model.implicit
+        if implicit is not None:
+            free = implicit.among_free(x, p, linear.balanced[1])
+            change = None if linear.change is None else free(linear.change)
+            linear = BalancedMatrix(free(linear.matrix), linear.rounding, change)
         values, errors = linear.eigensystem[0], linear.errors(EIGENVALUE_SAFETY)
         if self.model.order == 2:
             values, errors = _roots(values, errors)

@@ -1,0 +1,337 @@
+"""Models M x' = f with a singular mass matrix, against closed forms and against the same models as ODEs."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+from casadi_skin import OdeModel, find_equilibrium, find_orbit, read_model, save_model, simulate
+from casadi_skin.dynamics import evolve
+
+V = 1e3  # another unit
+
+
+def symbols(names: str) -> list[ca.SX]:
+    return [ca.SX.sym(name) for name in names.split()]
+
+
+def circuit(time: float = 1.0, volt: float = 1.0, **fields: Any) -> OdeModel:
+    """Van der Pol's oscillator: a coil, a capacitor and an element with current z = v^3/3 - mu v, in other units."""
+    v, i, z, mu = symbols("v i z mu")
+    u = v / volt
+    rhs = [(-i - z) / time * volt, u / time, z - (u**3 / 3 - mu * u)]
+    return OdeModel("circuit", [v, i, z], rhs, mu, mass=np.diag([1.0, 1.0, 0.0]), nominal=[1.0], **fields)
+
+
+def plain_circuit() -> OdeModel:
+    v, i, mu = symbols("v i mu")
+    return OdeModel("plain circuit", [v, i], [-i - (v**3 / 3 - mu * v), v], mu, nominal=[1.0])
+
+
+CYCLE_PERIOD = 6.663286859323  # of van der Pol's equation at mu = 1 (as 6.6632868593231301)
+
+
+def colpitts() -> tuple[OdeModel, OdeModel]:
+    """An oscillator in all node voltages and the currents of coil and source, and in three states; at I = 2 R a Hopf.
+
+    Its linear part with C1 = C2 = L = 1 and thermal voltage 1 is s^3 + R s^2 + 2 s + I = 0.
+    """
+    vcc, vn, vc, ve, il, iv, bias = symbols("vcc vn vc ve il iv I")
+    R, supply, saturation = np.sqrt(2.0) / 1.4, 5.0, 1e-3
+    ic = saturation * ca.exp(-ve)
+    rows = [
+        ([0, 0, 0, 0, 0, 0], iv + (vcc - vn) / R),
+        ([0, 0, 0, 0, 0, 0], (vcc - vn) / R - il),
+        ([0, 0, 1, -1, 0, 0], il - ic),
+        ([0, 0, -1, 2, 0, 0], ic - bias),
+        ([0, 0, 0, 0, 1, 0], vn - vc),
+        ([0, 0, 0, 0, 0, 0], vcc - supply),
+    ]
+    nodes = OdeModel(
+        "colpitts", [vcc, vn, vc, ve, il, iv], [f for _, f in rows], bias, mass=np.array([m for m, _ in rows], float),
+        nominal=[1.5],
+    )  # fmt: skip
+    x, y, i = symbols("x y i")
+    ic = saturation * ca.exp(-y)
+    plain = OdeModel("plain", [x, y, i], [i - ic, i - bias, supply - R * i - x - y], bias, nominal=[1.5])
+    return nodes, plain
+
+
+def pendulum(pump: float, energy: float = 0.0) -> OdeModel:
+    """A pendulum in Cartesian coordinates, with a force along its velocity where its energy is not that wanted."""
+    x, y, u, w, tension = symbols("x y u w T")
+    H = (u**2 + w**2) / 2 + y
+    push = -pump * (H - energy)
+    rhs = [u, w, -tension * x + push * u, -tension * y - 1.0 + push * w, x**2 + y**2 - 1.0]
+    return OdeModel(
+        "pendulum", [x, y, u, w, tension], rhs, mass=np.diag([1.0, 1, 1, 1, 0]), hamiltonian=None if pump else H
+    )
+
+
+def swing(angle: float) -> Any:
+    """A guess of the pendulum's motion to an angle."""
+    period = 4.0 * ellipk(np.sin(angle / 2.0) ** 2)
+
+    def at(t: float) -> list[float]:
+        phase = 2.0 * np.pi * t / period
+        q, rate = angle * np.cos(phase), -angle * 2.0 * np.pi / period * np.sin(phase)
+        return [np.sin(q), -np.cos(q), rate * np.cos(q), rate * np.sin(q), np.cos(q) + rate**2]
+
+    return at, period
+
+
+def test_a_regular_mass_matrix_is_an_inverse() -> None:
+    x, y, m = symbols("x y m")
+    model = OdeModel("inverse", [x, y], [y, -x], m, mass=[[m, 1.0], [0.0, 2.0]])
+    rates = np.array(model.vector_field(0.0, [0.3, -0.7], [4.0])).ravel()
+    assert rates == pytest.approx(np.linalg.solve([[4.0, 1.0], [0.0, 2.0]], [-0.7, -0.3]), rel=1e-15)
+
+
+def test_rows_that_depend_on_each_other_leave_an_algebraic_equation() -> None:
+    v, w, C = symbols("v w C")
+    model = OdeModel("floating", [v, w], [-v, w - v**3], C, mass=[[C, -C], [-C, C]])  # both sum to 0 = w - v - v^3
+    start = [1.0, 0.0]
+    found = simulate(model, start, np.linspace(0.0, 1.0, 11), parameters={"C": 2.0})
+    v, w = found.states.T
+    assert np.max(np.abs(w - v - v**3)) < 1e-10
+    assert found.states[0] @ [1, -1] == pytest.approx(1.0)  # the charge of the start
+    # C (v - w)' = -v with v - w = -v^3: 6 v v' = 1, v^2 = v0^2 + t/3 for C = 2
+    assert v**2 == pytest.approx(v[0] ** 2 + found.t / 3.0, rel=1e-8)
+
+
+@pytest.mark.parametrize("decay", [None, 1e-3, 1.0, 1e3])
+def test_cycle_of_a_circuit_whatever_the_rate(decay: float | None) -> None:
+    model = circuit(decay=decay)
+    orbit = find_orbit(model, lambda t: [2.0 * np.cos(t), 2.0 * np.sin(t), 0.0], CYCLE_PERIOD)
+    assert orbit.period == pytest.approx(CYCLE_PERIOD, abs=max(2e-12, orbit.error))
+    own = find_orbit(plain_circuit(), lambda t: [2.0 * np.cos(t), 2.0 * np.sin(t)], CYCLE_PERIOD).floquet()
+    found = orbit.floquet()
+    assert found.multipliers.size == 2
+    assert found.trivial == 1
+    assert abs(found.others[0] - own.others[0]) <= found.other_errors[0] + own.other_errors[0]
+    assert found.trivial_deviation <= found.allowed_deviation
+    by_flow = orbit.floquet(by="cvodes")
+    assert by_flow.others == pytest.approx(own.others, abs=1e-7)
+
+
+def test_branch_of_a_circuit_has_the_points_of_its_ode() -> None:
+    start = find_equilibrium(circuit(), [0.1, 0.1, 0.1], parameters={"mu": -0.5})
+    assert start.eigenvalues == pytest.approx(np.roots([1.0, 0.5, 1.0]))
+    (hopf,) = start.follow("mu", 1.0).special_points
+    assert hopf.kind == "hopf"
+    assert abs(hopf.parameters["mu"]) < 1e-12
+    cycles = hopf.follow("mu", 1.0)
+    assert cycles.at(mu=1.0).period == pytest.approx(CYCLE_PERIOD, rel=1e-9)
+    assert not [point for point in cycles.special_points if point.kind != "hopf"]
+
+
+def test_units_of_time_and_voltage() -> None:
+    model, guess = circuit(time=1e-9, volt=V), lambda t: [2.0 * V * np.cos(1e9 * t), 2.0 * V * np.sin(1e9 * t), 0.0]
+    start = find_equilibrium(model, [0.0, 0.0, 0.0], parameters={"mu": -0.5})
+    assert 1e9 * start.eigenvalues / 1e18 == pytest.approx(np.roots([1.0, 0.5, 1.0]))
+    orbit = find_orbit(model, guess, 1e-9 * CYCLE_PERIOD)
+    assert 1e9 * orbit.period == pytest.approx(CYCLE_PERIOD, rel=1e-11)
+    assert orbit.floquet().multipliers.size == 2
+
+
+def test_colpitts_oscillator_against_its_ode() -> None:
+    nodes, plain = colpitts()
+    R = np.sqrt(2.0) / 1.4
+    found = []
+    for model, guess in ((nodes, [5.0, 3.5, -4.0, -7.3, 1.5, -1.5]), (plain, [10.0, -7.3, 1.5])):
+        (hopf,) = find_equilibrium(model, guess).follow("I", 3.0).special_points
+        cycles = hopf.follow("I", 4.2, stability=True)
+        found.append(
+            [hopf.parameters["I"], *(p.parameters["I"] for p in cycles.special_points if p.kind == "period doubling")]
+        )
+    assert found[0][0] == pytest.approx(2.0 * R, rel=1e-12)
+    assert len(found[0]) > 1
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+@pytest.mark.parametrize("angle", [0.02, 1.5, 3.0])
+def test_pendulum_in_cartesian_coordinates(angle: float) -> None:
+    guess, period = swing(angle)
+    orbit = find_orbit(pendulum(0.5, -np.cos(angle)), guess, period)
+    assert orbit.period == pytest.approx(period, rel=1e-8)
+    states = orbit.evaluate(np.linspace(0.0, orbit.period, 50))
+    assert np.max(np.abs(states[:, 0] ** 2 + states[:, 1] ** 2 - 1.0)) < 1e-7
+    found = orbit.floquet()
+    assert found.multipliers.size == 2
+    x = orbit.evaluate(orbit.period * np.arange(400) / 400)
+    closed = np.exp(-0.5 * orbit.period * np.mean(np.sum(x[:, 2:4] ** 2, axis=1)))
+    assert found.others[0].real == pytest.approx(closed, abs=10 * found.other_errors[0] + 1e-9)
+
+
+def test_pendulum_that_keeps_its_energy() -> None:
+    guess, period = swing(1.0)
+    model = pendulum(0.0)
+    orbit = find_orbit(model, guess, period, select=model.state[1] + np.cos(1.0))
+    assert orbit.period == pytest.approx(period, rel=1e-8)
+    assert orbit.floquet().trivial == 2
+    assert orbit.floquet().stable
+
+
+def test_slider_crank_against_its_angle() -> None:
+    q, omega, s, v, force = symbols("q omega s v force")
+    r, rod, m, torque, friction = 0.5, 1.3, 2.0, 1.0, 0.4
+    phi = (s - r * ca.cos(q)) ** 2 + (r * ca.sin(q)) ** 2 - rod**2
+    rhs = [omega, torque - friction * omega + force * ca.gradient(phi, q), v, force * ca.gradient(phi, s) / m, phi]
+    crank = OdeModel("crank", [q, omega, s, v, force], rhs, mass=np.diag([1.0, 1, 1, 1, 0]))
+    place = r * ca.cos(q) + ca.sqrt(rod**2 - (r * ca.sin(q)) ** 2)
+    slope, bend = ca.gradient(place, q), ca.gradient(ca.gradient(place, q), q)
+    rate = (torque - friction * omega - m * slope * bend * omega**2) / (1.0 + m * slope**2)
+    plain = OdeModel("angle", [q, omega], [omega, rate])
+    period = 2.0 * np.pi * friction / torque
+    one = find_orbit(crank, lambda t: [2.5 * t, 2.5, 1.5, 0.0, 0.0], period, rotations={"q": 1})
+    other = find_orbit(plain, lambda t: [2.5 * t, 2.5], period, rotations={"q": 1})
+    assert one.period == pytest.approx(other.period, rel=1e-9)
+    assert one.floquet().others == pytest.approx(other.floquet().others, abs=1e-8)
+
+
+def test_forced_circuits() -> None:
+    """A source and a capacitor by a resistor, and at once: of index 2, with the rate of the source in its current."""
+    source, v, i, t = symbols("source v i t")
+    omega, R, C, A = 3.0, 0.7, 0.4, 2.0
+    for resistor in (True, False):
+        if resistor:
+            rhs, mass = [i - (source - v) / R, (source - v) / R, source - A * ca.cos(omega * t)], np.diag([0.0, C, 0.0])
+        else:  # beside it another one that relaxes
+            rhs, mass = [i, (source - v) / R, source - A * ca.cos(omega * t)], np.diag([C, C, 0.0])
+        model = OdeModel("forced", [source, v, i], rhs, mass=mass, time=t, forcing_period=2.0 * np.pi / omega)
+        orbit = find_orbit(model, [0.0, 0.0, 0.0])
+        response = A / (1.0 + 1j * omega * R * C)
+        current = (A - response) / R if resistor else 1j * omega * C * A
+        times = np.linspace(0.0, orbit.period, 17)
+        waves = np.exp(1j * omega * times)
+        expected = np.stack([(each * waves).real for each in (A, response, current)], axis=1)
+        assert orbit.evaluate(times) == pytest.approx(expected, abs=1e-8)
+        assert orbit.floquet().multipliers == pytest.approx([np.exp(-orbit.period / (R * C))], abs=1e-10)
+
+
+def test_folds_of_a_tunnel_diode() -> None:
+    v, j, bias = symbols("v j I")
+    model = OdeModel("diode", [v, j], [bias - j, j - (v**3 / 3 - v)], bias, mass=np.diag([1.0, 0.0]), nominal=[-1.0])
+    branch = find_equilibrium(model, [-2.0, -1.0]).follow("I", 1.0)
+    folds = [point for point in branch.special_points if point.kind == "fold"]
+    assert sorted(p.parameters["I"] for p in folds) == pytest.approx([-2.0 / 3.0, 2.0 / 3.0], abs=1e-9)
+    assert [solution.eigenvalues.size for solution in branch.solutions] == [1] * len(branch.solutions)
+    assert branch.solutions[0].eigenvalues.real < 0.0
+
+
+def test_simulation_starts_consistent_and_follows_the_equations_kept() -> None:
+    times, model = np.linspace(0.0, 6.0, 61), pendulum(0.5, -np.cos(1.5))
+    found = simulate(model, {"x": 0.9, "y": -0.1}, times, tolerance=1e-10)
+    x, y, u, w, _ = found.states.T
+    assert np.max(np.abs(x**2 + y**2 - 1.0)) < 1e-8
+    assert np.max(np.abs(x * u + y * w)) < 1e-8
+    other = evolve(model, found.states[0], None, times, method="dop853", tolerance=1e-11)
+    assert found.states == pytest.approx(other.states, abs=1e-7)
+    plain = simulate(plain_circuit(), [1.0, 0.0], times).states
+    assert simulate(circuit(), [1.0, 0.0, 9.0], times).states[:, :2] == pytest.approx(plain, abs=1e-7)
+
+
+@pytest.mark.parametrize("share", [1e-2, 1e2])
+def test_pendulum_whatever_the_rate(share: float) -> None:
+    (guess, period), model = swing(1.5), pendulum(0.5, -np.cos(1.5))
+    fields = {"rhs": model.given_rhs, "mass": model.mass, "decay": share * 2.0 * np.pi / period}
+    orbit = find_orbit(OdeModel("pendulum", model.state, **fields), guess, period)
+    own = find_orbit(model, guess, period)
+    assert orbit.period == pytest.approx(period, rel=1e-9)
+    assert orbit.floquet().others == pytest.approx(own.floquet().others, abs=1e-9)
+
+
+@pytest.mark.parametrize(("y", "eigenvalues"), [(-0.9, [1j, -1j]), (0.9, [1.0, -1.0])])
+def test_pendulum_at_rest(y: float, eigenvalues: list[complex]) -> None:
+    found = find_equilibrium(pendulum(0.0), [0.1, y, 0.0, 0.0, 0.0])
+    assert found.state == pytest.approx([0.0, np.sign(y), 0.0, 0.0, -np.sign(y)], abs=1e-10)
+    assert found.eigenvalues == pytest.approx(eigenvalues, abs=1e-10)
+
+
+def test_growth_of_changes_that_meet_the_equations() -> None:
+    """x' = -3 x + p z with z = x/2: -3 + p/2, whose slope by p is 1/2, below the rate of any algebraic equation."""
+    x, z, p = symbols("x z p")
+    rhs = [-3.0 * x + p * z + 1.0, z - x / 2]
+    model = OdeModel("decaying", [x, z], rhs, p, mass=np.diag([1.0, 0.0]), nominal=[0.5], decay=0.1)
+    start = find_equilibrium(model, [0.0, 0.0])
+    assert start.eigenvalues == pytest.approx([-2.75])
+    found = start.gradient("max_growth")
+    assert found.value == pytest.approx(-2.75)
+    assert found["p"] == pytest.approx(0.5)
+
+
+@pytest.mark.slow
+def test_cycles_end_at_a_homoclinic_orbit_at_any_rate() -> None:
+    """Sandstede's planar system, as `test_period_limits` has it, with x^2 as a state: at mu = 0."""
+    x, y, z, mu = symbols("x y z mu")
+    a, square = 0.3, z
+    rhs = [
+        a * x + y - a * square + mu * x * (2 - 3 * x),
+        x + a * y - 1.5 * square - 1.5 * a * x * y - 2 * mu * y,
+        z - x**2,
+    ]
+    for decay in (0.05, None):
+        model = OdeModel("leaf", [x, y, z], rhs, mu, mass=np.diag([1.0, 1.0, 0.0]), decay=decay)
+        (hopf,) = find_equilibrium(model, [0.67, 0.0, 0.45], parameters={"mu": -0.5}).follow("mu", 0.5).special_points
+        end = hopf.follow("mu", 0.5).special_points[-1]
+        assert end.kind == "homoclinic"
+        assert abs(end.parameters["mu"]) <= end.error
+
+
+def test_saved_and_pickled(tmp_path: Path) -> None:
+    model, point = circuit(decay=2.0), [0.3, -0.2, 0.1]
+    for again in (read_model(save_model(model, tmp_path / "model.json")), pickle.loads(pickle.dumps(model))):
+        assert again.decay == 2.0
+        assert again.implicit is not None
+        assert again.implicit.conditions
+        assert np.array(again.vector_field(0.0, point, [1.0])) == pytest.approx(
+            np.array(model.vector_field(0.0, point, [1.0])), rel=1e-15
+        )
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"mass": np.eye(2)}, r"mass: given shape \(2, 2\); accepted: 3 x 3 finite numbers"),
+        ({"mass": np.zeros((3, 3))}, "mass: given one without entries; accepted: one of rank 1 or more"),
+        ({"mass": np.diag([1.0, np.nan, 0.0])}, "mass: given nan in row 2, column 2; accepted"),
+        ({"mass": "diagonal"}, "mass: given str that is no matrix; accepted"),
+        ({"mass": [[1, 2], [3]]}, "mass: given list that is no matrix; accepted"),
+        ({"mass": np.diag([1.0, 1.0, 0.0]), "decay": 0.0}, "decay: given 0.0; accepted: a number > 0"),
+        ({"decay": 1.0}, "decay: given without mass; accepted"),
+        ({"mass": np.diag([1.0, 1.0, 0.0]), "reversal": [1, -1, 1]}, "reversal: given with a singular mass"),
+    ],
+)
+def test_refusals(fields: dict[str, Any], words: str) -> None:
+    v, i, z = symbols("v i z")
+    with pytest.raises((TypeError, ValueError), match=f"refused: {words}") as told:
+        OdeModel("refused", [v, i, z], [-i - z, v, z - v**3], **fields)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("last", ["0", "v"])
+def test_equations_that_determine_no_motion_are_refused_by_name(last: str) -> None:
+    v, i, z = symbols("v i z")
+    with pytest.raises(
+        ValueError, match=r"refused: mass: given one with which entry \d of rhs, beside \w, .*; accepted"
+    ):
+        OdeModel("refused", [v, i, z], [-i, v, {"0": 0.0 * z, "v": v}[last]], mass=np.diag([1.0, 1.0, 0.0]))
+
+
+def test_models_without_such_a_form_are_refused() -> None:
+    x, q, v = ca.MX.sym("x", 2), ca.SX.sym("q"), ca.SX.sym("v")
+    with pytest.raises(ValueError, match="mass: given with a model in MX; accepted: one of first order in SX"):
+        OdeModel("refused", x, -x, mass=np.eye(2))
+    with pytest.raises(
+        ValueError, match="mass: given with a model of second order; accepted: one of first order in SX"
+    ):
+        OdeModel("refused", q, -q, order=2, velocity=v, mass=[[1.0]])
+    v, i = symbols("v i")
+    with pytest.raises(ValueError, match="mass: given v in row 1, column 1; accepted"):
+        OdeModel("refused", [v, i], [-i, v], mass=ca.diag(ca.vertcat(v, 1.0)))
