@@ -1,13 +1,14 @@
 """Compiles casadi_skin/native/*.c into one library when the package is built; without a compiler numpy does the work.
 
 `python hatch_build.py` does it in a clone, as `pip install -e .` does. The compiler is $CC, else cc, gcc or clang. The
-library calls nothing of Python: one serves all versions of it.
+library calls nothing of Python: one serves all versions of it. The README for an index of packages is made here, too.
 """
 
 from __future__ import annotations
 
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
@@ -20,8 +21,9 @@ from typing import Any
 
 try:
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+    from hatchling.metadata.plugin.interface import MetadataHookInterface
 except ImportError:  # of a script that compiles in a clone
-    BuildHookInterface = object
+    BuildHookInterface = MetadataHookInterface = object
 
 NATIVE = Path(__file__).parent / "casadi_skin" / "native"
 # Every operation is rounded, as numpy's are: none are fused.
@@ -45,7 +47,7 @@ def compile_kernels(target: Path) -> None:
     # Beside the target, which is replaced in one step: no process sees half of a library.
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         objects = []
-        if platform.machine() in ("x86_64", "AMD64"):
+        if _run([*compiler, "-dumpmachine"], folder).startswith(("x86_64", "amd64")):  # that it compiles for
             for instructions in ("avx2", "avx512f"):
                 Path(folder, instructions).mkdir()
                 _run([*compiler, *flags, f"-m{instructions}", "-c", *sources], f"{folder}/{instructions}")
@@ -54,12 +56,24 @@ def compile_kernels(target: Path) -> None:
         Path(folder, "kernels.library").replace(target)
 
 
-def _run(command: list[str], folder: str) -> None:
+def _run(command: list[str], folder: str) -> str:
+    """What the command prints."""
     try:
-        subprocess.run(command, cwd=folder, check=True, capture_output=True, errors="replace", timeout=SECONDS)
+        return subprocess.run(
+            command, cwd=folder, check=True, capture_output=True, errors="replace", timeout=SECONDS
+        ).stdout
     except (OSError, subprocess.SubprocessError) as error:
         said = str(getattr(error, "stderr", None) or error).strip()
         raise BuildError(f"{command[0]}: {said.splitlines()[0] if said else error}") from error
+
+
+def _system() -> str:
+    """The system in the name of a wheel; Python for both processors of macOS compiles for the one that it runs on."""
+    name = sysconfig.get_platform()
+    if name.endswith("universal2"):
+        arm = platform.machine() == "arm64"
+        name = "macosx-11.0-arm64" if arm else name.replace("universal2", "x86_64")  # older ones know no arm64
+    return re.sub(r"[-.]", "_", name)
 
 
 class KernelsHook(BuildHookInterface):  # type: ignore[misc, valid-type]
@@ -76,11 +90,21 @@ class KernelsHook(BuildHookInterface):  # type: ignore[misc, valid-type]
             return
         if version != "editable":
             build_data["force_include"][str(target)] = "casadi_skin/native/kernels.library"
-        system = sysconfig.get_platform().replace("universal2", platform.machine()).translate(str.maketrans("-.", "__"))
-        build_data["pure_python"], build_data["tag"] = False, f"py3-none-{system}"
+        build_data["pure_python"], build_data["tag"] = False, f"py3-none-{_system()}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         self._folder.cleanup()
+
+
+class ReadmeHook(MetadataHookInterface):  # type: ignore[misc, valid-type]
+    """The README for an index of packages, where links into the repository are to have its address."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        text = Path(self.root, "README.md").read_text(encoding="utf-8")
+        address, tag = metadata["urls"]["Source"], f"v{metadata['version']}"
+        text = re.sub(r"\]\((?=[\w/]+\.png\))", f"]({address}/raw/{tag}/", text)
+        text = re.sub(r"\]\((?!https?://|#)", f"]({address}/blob/{tag}/", text)
+        metadata["readme"] = {"content-type": "text/markdown", "text": text}
 
 
 if __name__ == "__main__":

@@ -1,10 +1,17 @@
-"""Renders the conda recipe and compares it with pyproject.toml; with "lowest" prints the lowest versions."""
+"""Renders the conda recipe for every platform beside pyproject.toml; "lowest" prints the lowest versions of that."""
 
 import sys
 import tomllib
 from pathlib import Path
 
 RENAMED = {"matplotlib": "matplotlib-base"}  # on conda-forge
+PLATFORMS = {
+    "linux-64": "linux-64",
+    "linux-aarch64": "linux-64",
+    "osx-64": "osx-64",
+    "osx-arm64": "osx-64",
+    "win-64": "win-64",
+}
 
 
 def main(root: Path, *words: str) -> None:
@@ -13,19 +20,25 @@ def main(root: Path, *words: str) -> None:
     if words:
         print("\n".join(f"{name}=={version}" for name, version in pairs))
         return
-    from rattler_build import Stage0Recipe, VariantConfig
+    from rattler_build import JinjaConfig, PlatformConfig, RenderConfig, Stage0Recipe, VariantConfig
 
-    recipe = Stage0Recipe.from_yaml((root / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
-    rendered = recipe.render(VariantConfig())[0].recipe
-    given = {str(requirement) for requirement in rendered.requirements.run}
     wanted = {f"{RENAMED.get(name, name)} >={version}" for name, version in pairs}
     wanted.add(f"python {project['requires-python']}")
-    if given != wanted:
-        raise SystemExit(f"conda/recipe.yaml: differs from pyproject.toml: {sorted(given ^ wanted)}")
-    version = (root / "casadi_skin" / "_version.py").read_text(encoding="utf-8").split('"')[1]
-    if str(rendered.package.version) != version:
-        raise SystemExit(f"conda/recipe.yaml: version {rendered.package.version}, where the package has {version}")
-    print("conda/recipe.yaml renders, with the requirements of pyproject.toml")
+    recipe = Stage0Recipe.from_yaml((root / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    for target, builder in PLATFORMS.items():  # conda-forge builds for ARM processors on others
+        platform = PlatformConfig(target_platform=target, build_platform=builder)
+        variants = VariantConfig.from_file_with_context(
+            root / "conda" / "variants.yaml", JinjaConfig(platform=platform)
+        )
+        (rendered,) = recipe.render(variants, RenderConfig(platform=platform))
+        given = {str(requirement) for requirement in rendered.recipe.requirements.run}
+        if given != wanted:
+            raise SystemExit(f"conda/recipe.yaml, {target}: differs from pyproject.toml: {sorted(given ^ wanted)}")
+    if rendered.recipe.about.license != project["license"]:
+        raise SystemExit(
+            f"conda/recipe.yaml: license {rendered.recipe.about.license}, where pyproject.toml has {project['license']}"
+        )
+    print(f"conda/recipe.yaml renders for {', '.join(PLATFORMS)}, with the requirements of pyproject.toml")
 
 
 if __name__ == "__main__":
