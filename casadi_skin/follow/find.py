@@ -71,7 +71,7 @@ from casadi_skin.zero.statement import Bounds, Statement, named_values
 
 # Periodic orbits of any model: autonomous, forced, conservative, reversible; closed or rotating -----------------------
 
-NOT_ZERO = 100.0  # tolerances that rates by the unfolding parameter may be of all rates
+NOT_ZERO = 100.0  # tolerances that rates of what is conserved by the unfolding parameter may be of all
 LONGEST_RETURN, RETURN_SAMPLES = 8.0, 1601  # stated periods in which a motion may come back, and places looked at
 RETURN_TOLERANCE = 1e-6
 # Of the ranges of the states: distance from the start that has left it, and that has come back.
@@ -156,7 +156,7 @@ def find_orbit(
     orbit = Orbit(space, solution.point, solution.exact, solution.optimum)
     if model.forced:
         check_forcing_period(model, orbit, orbit.period, orbit.parameters)
-    if orbit.unfolding and _unfolded_rate(solution) > NOT_ZERO * max(space.tolerance, orbit.error):
+    if orbit.unfolding and _unfolded_rate(model, solution) > NOT_ZERO * max(space.tolerance, orbit.error):
         words = f"the unfolding parameter is {orbit.unfolding:.1e} in place of 0"
         kept = " or ".join(f"the {name}" for name in quantities(model))
         raise BoundaryError(f"{model.name}: {words}: {kept} is not conserved, or the orbit is degenerate")
@@ -223,17 +223,20 @@ def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
     return expression
 
 
-def _unfolded_rate(solution: Solution) -> float:
-    """The largest rate by the unfolding terms over the largest of all, of states in units of their largest values."""
-    model, size = solution.statement.model, np.max(np.abs(solution.states), axis=0)
-    values = {name: solution.parameters[name] for name in model.parameter_names}
+def _unfolded_rate(model: OdeModel, solution: Solution) -> float:
+    """The largest rate of a conserved quantity by the unfolding terms, over those by which its components change it."""
+    values = {name: solution.parameters[name] for name in solution.statement.model.parameter_names}
     without = {name: 0.0 if name.startswith(UNFOLDING) else value for name, value in values.items()}
-    whole, plain = (
-        np.array([model.vector_field(0.0, x, list(p.values())) for x in solution.states])[:, size > 0.0, 0]
-        / size[size > 0.0]
-        for p in (values, without)
-    )
-    return float(np.max(np.abs(whole - plain)) / np.max(np.abs(whole)))
+    field, p = solution.statement.model.vector_field, [solution.parameters[name] for name in model.parameter_names]
+    slopes = model.function("slopes", *(ca.gradient(kept, model.full_state) for kept in quantities(model).values()))
+
+    def rates(x: Array) -> tuple[Array, Array]:
+        whole, plain = (np.array(field(0.0, x, list(p.values()))).ravel() for p in (values, without))
+        by_state = np.hstack([np.array(slope) for slope in slopes.call([0.0, x, p])]).T
+        return np.abs(by_state @ (whole - plain)), np.abs(by_state) @ np.abs(whole)
+
+    unfolded, own = np.array([rates(x) for x in solution.states]).max(axis=0)
+    return float(np.max(unfolded[own > 0.0] / own[own > 0.0], initial=0.0))
 
 
 def _check_moves(name: str, solution: Solution, guess: Guess, length: float) -> None:

@@ -142,7 +142,8 @@ class Design(Result):
     def is_near(self, other: Design) -> bool:
         """Whether two designs are one: parameters, value and frequencies are the same."""
         low, high = np.array(list(self.bounds.values())).T
-        scale = np.where(np.isfinite(high - low), high - low, np.maximum(1.0, np.abs(self.path[-1])))
+        own = np.max(np.abs(np.vstack([self.path, other.path])), axis=0)  # of the numbers on the way
+        scale = np.where(np.isfinite(high - low), high - low, np.where(own > 0.0, own, 1.0))
         one, two = ([d.value, *(known.get("Omega", 0.0) for known in d.quantities)] for d in (self, other))
         near = np.max(np.abs(self.path[-1] - other.path[-1]) / scale) <= SAME_DESIGN_RTOL
         return bool(near) and np.allclose(one, two, SAME_VALUE_RTOL, SAME_VALUE_RTOL)
