@@ -6,7 +6,7 @@ Every search states its problem as one: an orbit in odd cosines, a boundary-valu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, Protocol
 
@@ -17,7 +17,7 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.search.conditions import Condition
 from casadi_skin.search.design import Ending, inequalities
-from casadi_skin.solve.ipopt import IterationCallback, Monitor, nlp_reason, nlp_solver
+from casadi_skin.solve.ipopt import SOLVED_STATUS, IterationCallback, Monitor, nlp_reason, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
 STOPPED_STATUS = "User_Requested_Stop"
@@ -172,6 +172,24 @@ class Nlp:
         found, lam_g, lam_x = (np.array(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
         value, words = self.shown(float(result["f"])), str(stats["return_status"])
         return Solution(found, lam_g, lam_x, value, words, int(stats["iter_count"]))
+
+    def nearest(self, x: Array) -> Array:
+        """From x on, where conditions hold least badly and all else holds: the least sum of squares of what is amiss.
+
+        Each is measured by its terms at x. It is x itself where that is not found, or without conditions.
+        """
+        rows, n, g = self.condition_rows, self.size, self.residual(x)
+        sizes = np.asarray(abs(self.jacobian(x))[rows] @ np.abs(x)).ravel()
+        z, low, high = type(self._x).sym("z", n + rows.size), self.low[rows], self.high[rows]
+        moved = ca.Function("g", [self._x], [self._g])(z[:n])
+        amiss = (moved[rows.tolist()] - z[n:]) / np.where(sizes > 0.0, sizes, 1.0)
+        ends = np.append(self.lower, low), np.append(self.upper, high)
+        elastic = Nlp(
+            z, ca.sumsqr(amiss), moved[: rows.size and -rows.size], {"": (np.arange(n + rows.size), *ends)},
+            exact=self.exact, options=self.options,
+        )  # fmt: skip
+        found = elastic.solve(np.append(x, np.clip(g[rows], low, high)))
+        return found.x[:n] if rows.size and found.words == SOLVED_STATUS else x
 
     def _built(self, more: Mapping[str, Any]) -> tuple[ca.Function, IterationCallback]:
         """Ipopt with bounds that are not relaxed, and its callback."""
@@ -434,7 +452,12 @@ def judged(nlp: Nlp, start: Start, first: Array, solution: Solution) -> Outcome:
         fault = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else "")
         ending, words = (Ending.NO_OPTIMUM, f"stationary, but {fault}") if fault else (Ending.FOUND, words)
     elif ending is Ending.INFEASIBLE:
+        x = nlp.nearest(x)
+        solution = replace(solution, x=x, objective=nlp.objective(x))
+        gaps, found = nlp.violations(nlp.residual(x)), optimality(nlp, solution)
+        worst = int(np.argmax(gaps))
         words = f"{nlp.row_name(worst, x)} is off by {gaps[worst]:.3g}"
+        path[-1], values[-1] = x[nlp.measured], solution.objective
     place, times = nlp.place_of(x), nlp.times(x)
     if ending is Ending.FAILED and np.max(np.abs(place)) > LARGEST_PLACE:
         ending = Ending.UNBOUNDED
