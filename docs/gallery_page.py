@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 MARK = "<!-- gallery -->"
-NAMES = "examples lattices equilibria gradients maps designs scenes_of_any_model fmu"
+NAMES = "examples lattices equilibria gradients maps designs scenes_of_any_model daes fmu"
 PAGES = tuple(f"{name}.md" for name in NAMES.split())
 PICTURE = re.compile(r"^(#{1,4}) (?P<head>.+)$|^!\[(?P<words>[^\]]*)\]\((?P<path>pictures/[^)]+)\)", re.MULTILINE)
 

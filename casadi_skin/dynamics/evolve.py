@@ -513,4 +513,6 @@ def simulate(
     x = consistent(equations.physical, equations.values, x, float(times[0]))
     later = simulated(equations.physical, equations.values, x, times, tolerance)
     states = np.vstack([x[None], later.states])
-    return Evolution(equations, times, states, "cvodes", tolerance, PHYSICAL, later.evaluations)
+    implicit = equations.physical.implicit
+    method = "cvodes" if implicit is None or not implicit.conditions else "idas"
+    return Evolution(equations, times, states, method, tolerance, PHYSICAL, later.evaluations)

@@ -119,3 +119,26 @@ def test_boundary_layer(tmp_path: Path) -> None:
         assert example.true_error(solution) <= solution.error <= 1e-7
         assert solution.intervals <= 60
     assert found[-1]["eps"] == 1e-6
+
+
+@pytest.mark.slow
+def test_colpitts(tmp_path: Path) -> None:
+    branches, chaos = load("colpitts").main(tmp_path / "picture.png")
+    assert drawn(tmp_path / "picture.png")
+    (hopf,), *doublings = (branch.special_points for branch in branches)
+    R = 2**0.5 / 1.4
+    assert abs(hopf.parameters["bias"] - 2.0 * R) < 1e-12
+    assert abs(hopf.frequency - 2.0**0.5) < 1e-12  # s^3 + R s^2 + 2 s + I = 0
+    found = [point.parameters["bias"] for (point,) in doublings]
+    assert found == pytest.approx([4.1103451502505, 4.8331660136020, 5.0006010754211], abs=1e-11)  # of the ODE
+
+    def field(_: float, s: np.ndarray) -> list[float]:
+        collector, emitter, coil = s
+        through = 1e-3 * np.exp(-emitter)
+        slope = coil - 5.5
+        return [slope + coil - through, slope, 5.0 - R * coil - collector]
+
+    start, times = chaos.states[0, 2:5], chaos.t[:501]  # 10 units of time: nearby motions part later
+    run = solve_ivp(field, (0.0, times[-1]), start, "DOP853", times, rtol=1e-11, atol=1e-12)
+    assert np.abs(run.y.T - chaos.states[:501, 2:5]).max() < 1e-5
+    assert np.abs(chaos.states[:, 0] - 5.0).max() < 1e-9
