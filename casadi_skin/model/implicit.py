@@ -171,7 +171,7 @@ class Implicit:
                 g = reduced.right[i]
                 if len(conditions) == n - 1 or not ca.depends_on(g, model.state):
                     raise ValueError(_undetermined(model, i, len(conditions) == n - 1))
-                rates.append(decay * (1.0 + len(conditions) / n))  # simple ones
+                rates.append(decay * (1.0 + len(conditions) / n))  # apart: eigenvalues are simple
                 by_time = ca.SX(0.0) if model.time is None else ca.gradient(g, model.time)
                 rows.put(i, ca.jacobian(g, model.state), -by_time - rates[-1] * g)
                 conditions.append(g)

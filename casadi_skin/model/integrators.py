@@ -246,7 +246,6 @@ def _dae_of(model: OdeModel) -> dict[str, Any]:
 
 def simulated(model: OdeModel, parameters: Array, start: Array, times: Array, tolerance: float) -> Trajectory:
     """States at all but the first of the times by `stiff_cvodes`; raises IntegrationError with what runs away."""
-    start = consistent(model, parameters, start, float(times[0]))
     try:
         return stiff_cvodes(model, parameters, start, times[1:], tolerance, float(times[0]))
     except IntegrationError as error:
