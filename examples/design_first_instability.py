@@ -51,7 +51,7 @@ def draw(result: Design) -> Figure:
     """The first change of stability against gamma."""
     figure = Figure(figsize=(5.6, 3.6), layout="constrained")
     axes = figure.subplots()
-    gammas = np.linspace(0.2, 0.5, 41)
+    gammas = np.sort([*np.linspace(0.2, 0.5, 31), result["gamma"]])
     axes.plot(gammas, [family(gamma).changes[0].S for gamma in gammas], "k.-", lw=1, label="of families")
     axes.plot(result["gamma"], result.value, "o", color="tab:red", mfc="none", ms=9, label="design")
     axes.set(xlabel=r"$\gamma$", ylabel="$S$ of the first instability", title=r"$N = 4,\ j = 1,\ \alpha = 1,\ g = -1$")
