@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.follow.family_series import FamilySeries
-from casadi_skin.results.figures.style import style
+from casadi_skin import Branch, Chain, FamilySeries, follow_family, style
 
 ORDERS = (1, 2, 5, 10, 20, 40)
 

@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import erf
 
-from casadi_skin import BoundaryValueProblem, OdeModel
-from casadi_skin.results.figures.style import style
+from casadi_skin import BoundaryValueProblem, OdeModel, style
 
 u, v, eps, x = (ca.SX.sym(name) for name in ("u", "v", "eps", "x"))
 bend = -x * v / eps - np.pi**2 * ca.cos(np.pi * x) - np.pi * x * ca.sin(np.pi * x) / eps

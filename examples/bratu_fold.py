@@ -9,8 +9,7 @@ from pathlib import Path
 import casadi as ca
 from matplotlib.figure import Figure
 
-from casadi_skin import BoundaryValueProblem, OdeModel
-from casadi_skin.results.figures.style import style
+from casadi_skin import BoundaryValueProblem, OdeModel, style
 
 u, v, lam = (ca.SX.sym(name) for name in ("u", "v", "lambda"))
 bratu = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)

@@ -12,9 +12,7 @@ import numpy as np
 from fmpy.validation import validate_fmu
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, export_fmu, follow_family
-from casadi_skin.dynamics import perturbed, simulate_orbit
-from casadi_skin.results.figures.style import style
+from casadi_skin import Chain, export_fmu, follow_family, perturbed, simulate_orbit, style
 
 SITES, KICK, PERIODS = 24, 0.01, 6
 

@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Chain, export_fmu
-from casadi_skin.results.figures.style import style
+from casadi_skin import Chain, export_fmu, style
 
 Array = NDArray[np.float64]
 SITES, END, SPRING = 6, 30.0, 0.4

@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Branch, Chain, follow_family, optimise
-from casadi_skin.results.figures.style import style
-from casadi_skin.search.design import Design
+from casadi_skin import Branch, Chain, Design, follow_family, optimise, style
 
 CHAIN = Chain(sites=4, alpha=1.0, gamma=0.3, g=-1.0)
 APART = 1e-3  # of S, by which other tongues stay behind the first: where two edges meet, neither has a gradient

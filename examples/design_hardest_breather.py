@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family, optimise
-from casadi_skin.results.figures.style import style
-from casadi_skin.search.design import Design
+from casadi_skin import Chain, Design, follow_family, optimise, style
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 

@@ -11,9 +11,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_equilibrium, optimise
-from casadi_skin.results.figures.style import style
-from casadi_skin.search.design import Design
+from casadi_skin import Design, OdeModel, find_equilibrium, optimise, style
 
 X, Y, Z, SIGMA, R, BETA = (ca.SX.sym(name) for name in ("x", "y", "z", "sigma", "r", "beta"))
 FIELD = ca.vertcat(SIGMA * (Y - X), X * (R - Z) - Y, X * Y - BETA * Z)

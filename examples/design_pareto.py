@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family, pareto_front
-from casadi_skin.results.figures.style import style
-from casadi_skin.search.designs import ParetoFront
+from casadi_skin import Chain, ParetoFront, follow_family, pareto_front, style
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.4, g=1.0)
 BOUNDS = {"gamma": (0.05, 0.8), "alpha": (0.5, 2.0)}

@@ -5,21 +5,19 @@ Run: python examples/design_uneven_chain.py PICTURE.png
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family, optimise
-from casadi_skin.results.figures.style import style
-from casadi_skin.search.design import Design
-from casadi_skin.search.families import FamilyExpressions
+from casadi_skin import Chain, Design, follow_family, optimise, style
 
 CHAIN = Chain(sites=24, alpha=1.0, gamma=0.25, g=1.0)
 AMPLITUDES, TARGET = (0.2, 0.4, 0.6, 0.8, 1.0), 2.2
 
 
-def off_target(*orbits: FamilyExpressions) -> ca.SX:
+def off_target(*orbits: Any) -> ca.SX:
     """Omega(S) - target at every S."""
     return ca.vertcat(*(orbit.Omega - TARGET for orbit in orbits))
 

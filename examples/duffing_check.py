@@ -10,9 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family
-from casadi_skin.lattice.closed_forms import duffing_frequency
-from casadi_skin.results.figures.style import style
+from casadi_skin import Chain, closed_forms, follow_family, style
 
 TOLERANCES = 10.0 ** -np.arange(4, 14)
 METHODS = ("trigonometric", "gauss")
@@ -29,7 +27,7 @@ class Errors(NamedTuple):
 def main(picture: Path | str | None = None) -> dict[str, Errors]:
     """Errors at S = 2, g = -1, where Omega is 0.69 of the linear frequency, by transcription."""
     chain = Chain(sites=1, alpha=1.0, gamma=0.0, g=-1.0)
-    exact = duffing_frequency(2.0 + chain.alpha, chain.g, amplitude=np.sqrt(2.0))
+    exact = closed_forms.duffing_frequency(2.0 + chain.alpha, chain.g, amplitude=np.sqrt(2.0))
     errors = {}
     for method in METHODS:
         orbits = [

@@ -11,10 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, export_c, follow_family
-from casadi_skin.dynamics import simulate_orbit
-from casadi_skin.export.codegen import build_c
-from casadi_skin.results.figures.style import style
+from casadi_skin import Chain, build_c, export_c, follow_family, simulate_orbit, style
 
 SITES, KICK, PERIODS = 24, 0.01, 6
 PROGRAM = r"""

@@ -13,8 +13,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_equilibrium, fit_parameters
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_equilibrium, fit_parameters, style
 
 V, w, current, g_Ca, g_K, phi = (ca.SX.sym(name) for name in ("V", "w", "I", "g_Ca", "g_K", "phi"))
 opened, rest = (1 + ca.tanh((V + 1.2) / 18)) / 2, (1 + ca.tanh((V - 2) / 30)) / 2

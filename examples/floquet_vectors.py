@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.results.figures.style import style
+from casadi_skin import Chain, Orbit, follow_family, style
 
 
 @style()

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_orbit
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_orbit, style
 
 q, v, omega, a, delta, t = (ca.SX.sym(name) for name in ("q", "v", "omega", "a", "delta", "t"))
 duffing = OdeModel(

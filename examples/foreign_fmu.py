@@ -11,13 +11,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import casadi as ca
+import fmpy
 import numpy as np
 
-from casadi_skin import find_orbit, import_fmu
-from casadi_skin.export.codegen import find_compiler, fmi_headers
-from casadi_skin.fmu.description import library_name
-from casadi_skin.follow.branch import Branch
-from casadi_skin.results.figures.style import style
+from casadi_skin import Branch, find_orbit, import_fmu, style
 
 
 def made_elsewhere(folder: Path) -> Path:
@@ -35,9 +32,10 @@ def made_elsewhere(folder: Path) -> Path:
     os.chdir(folder)
     sources = [folder / name for name in dae.export_fmu() if name.endswith(".c")]
     os.chdir(before)
-    name = library_name("3.0", "vdp")
+    name = f"binaries/{fmpy.platform_tuple}/vdp{fmpy.sharedLibraryExtension}"
     library = folder / Path(name).name
-    command = [find_compiler(), "-shared", "-fPIC", f"-I{fmi_headers()}", *sources, "-o", library, "-lm"]
+    headers = Path(fmpy.__file__).parent / "c-code"  # of the standard
+    command = [os.environ.get("CC", "cc"), "-shared", "-fPIC", f"-I{headers}", *sources, "-o", library, "-lm"]
     subprocess.run(command, check=True)
     with zipfile.ZipFile(folder / "vdp.fmu", "w") as archive:
         archive.write(folder / "modelDescription.xml", "modelDescription.xml")

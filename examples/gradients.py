@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_equilibrium
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_equilibrium, style
 
 x, y, z, r, sigma, beta = (ca.SX.sym(name) for name in ("x", "y", "z", "r", "sigma", "beta"))
 rates = ca.vertcat(sigma * (y - x), r * x - y - x * z, x * y - beta * z)

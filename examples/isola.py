@@ -7,9 +7,17 @@ import sys
 
 import numpy as np
 
-from casadi_skin import Bond, Lattice, Site, find_orbit, follow_family
-from casadi_skin.dynamics.resonances import conservative_part, energy_balance, resonances
-from casadi_skin.results.figures.style import style
+from casadi_skin import (
+    Bond,
+    Lattice,
+    Site,
+    conservative_part,
+    energy_balance,
+    find_orbit,
+    follow_family,
+    resonances,
+    style,
+)
 
 site = Site("a", "y + 0.05*y^3", damping="c*(1 - 2*y^2 + 0.6*y^4)", drive="F*e*cos(omega*t)")
 values = {"c": 0.02, "F": 0.0182, "omega": 1.0, "e": [1.0, 0.0]}

@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.results.figures.style import style
-from casadi_skin.stability.growth import TransientGrowth
+from casadi_skin import Chain, Orbit, TransientGrowth, follow_family, style
 
 SITES = 24
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Branch, Chain, follow_family
-from casadi_skin.results.figures.style import style
+from casadi_skin import Branch, Chain, follow_family, style
 
 MARKS = {"real": ("o", 9), "band edge": ("^", 7), "complex": ("s", 13)}  # the last two are 2e-4 in S apart
 

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_orbit
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_orbit, style
 
 x, y, u, v, mu, E = (ca.SX.sym(name) for name in ("x", "y", "u", "v", "mu", "E"))
 effective = (x**2 + y**2) / 2 + (1 - mu) / ca.sqrt((x + mu) ** 2 + y**2) + mu / ca.sqrt((x - 1 + mu) ** 2 + y**2)

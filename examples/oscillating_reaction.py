@@ -12,8 +12,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_equilibrium
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_equilibrium, style
 
 A, B, D = 2.0, 5.45, (0.008, 0.004)  # u' = D1 u''/L^2 + A - (B + 1) u + u^2 v, v' = D2 v''/L^2 + B u - u^2 v
 

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Bond, Branch, Chain, Lattice, OdeModel, Site, find_equilibrium, follow_family
-from casadi_skin.results.figures.style import style
+from casadi_skin import Bond, Branch, Chain, Lattice, OdeModel, Site, find_equilibrium, follow_family, style
 
 GAMMAS = np.linspace(0.1, 0.6, 26)
 AMPLITUDES = np.linspace(0.01, 1.0, 60)

@@ -7,8 +7,7 @@ import sys
 
 import numpy as np
 
-from casadi_skin import Bond, Lattice, Site, find_equilibrium, follow_family
-from casadi_skin.results.figures.style import style
+from casadi_skin import Bond, Lattice, Site, find_equilibrium, follow_family, style
 
 sites = 14
 bond = Bond("a", "a", (1,), "k*d", ("1 - gamma", "1 + gamma"))

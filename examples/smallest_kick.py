@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family, smallest_kick
-from casadi_skin.results.figures.style import style
-from casadi_skin.search.kick import SmallestKick
+from casadi_skin import Chain, SmallestKick, follow_family, smallest_kick, style
 
 SITES, TIME = 24, 40.0
 

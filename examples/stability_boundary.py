@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family
-from casadi_skin.results.figures.style import style
+from casadi_skin import Chain, follow_family, style
 
 GAMMAS = np.linspace(0.1, 0.6, 51)  # below, the family meets resonances that are too sharp to follow
 DEPTHS = (1e-9, 1e-5, 1e-2)  # log |multiplier| over a period, from which on a tongue counts

@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import ellipk
 
-from casadi_skin import OdeModel, find_orbit
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_orbit, style
 
 q, v, E, current, damping = (ca.SX.sym(name) for name in ("q", "v", "E", "I", "c"))
 energy = v**2 / 2 - ca.cos(q)

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_orbit
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_orbit, style
 
 x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
 model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)

@@ -167,7 +167,7 @@ def equations_of_motion(model: Any, parameters: Mapping[str, float] | None = Non
     Raises:
         ValueError, TypeError: the model or a parameter is not accepted.
     """
-    if not hasattr(model, "equations_of_motion"):
+    if isinstance(model, type) or not hasattr(model, "equations_of_motion"):
         raise TypeError(f"model: given {short_repr(model)}; accepted: a Chain or an OdeModel")
     found: EquationsOfMotion = model.equations_of_motion(parameters)
     return found

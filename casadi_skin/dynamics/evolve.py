@@ -22,7 +22,15 @@ from casadi_skin.dynamics.evolution import (
 from casadi_skin.follow.closed_curve import Curve, cosine_curve
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import FAMILY
-from casadi_skin.model.arguments import by_name, check_name, number, short_repr, state_by_name
+from casadi_skin.model.arguments import (
+    by_name,
+    check_instance,
+    check_name,
+    number,
+    short_repr,
+    state_by_name,
+    whole,
+)
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.integrators import INTEGRATORS as ANY_INTEGRATORS
 from casadi_skin.model.integrators import (
@@ -247,17 +255,21 @@ def evolve(
 
 def _check_choices(method: str, tolerance: float, coordinates: str | None, step: float | None) -> None:
     check_name("method", method, INTEGRATORS)
-    check_name("coordinates", coordinates or GAUGE, (GAUGE, PHYSICAL))
-    if not 1e-13 <= tolerance <= 1e-2:
-        raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
+    check_name("coordinates", GAUGE if coordinates is None else coordinates, (GAUGE, PHYSICAL))
+    _check_tolerance(tolerance)
+    if step is not None and not number("step", step, "a finite number > 0") > 0:
+        raise ValueError(f"step: given {step!r}; accepted: a finite number > 0")
     if step is not None and method != SYMPLECTIC:
         raise ValueError(f"step: given {step!r} with {method}; accepted: with {SYMPLECTIC}, whose step is fixed")
-    if step is not None and not (np.isfinite(step) and step > 0):
-        raise ValueError(f"step: given {step!r}; accepted: a finite number > 0")
+
+
+def _check_tolerance(given: float) -> None:
+    if not 1e-13 <= number("tolerance", given) <= 1e-2:
+        raise ValueError(f"tolerance: given {given!r}; accepted: 1e-13 to 1e-2")
 
 
 def _times(t: ArrayLike) -> Array:
-    times = np.atleast_1d(np.asarray(t, dtype=float))
+    times = np.atleast_1d(real_array("t", t, finite=False))
     if times.ndim != 1 or times.size == 0:
         raise ValueError(f"t: given shape {times.shape}; accepted: one or more times")
     if not np.all(np.isfinite(times)) or times[0] < 0 or np.any(np.diff(times) <= 0):
@@ -279,7 +291,7 @@ def _start(equations: EquationsOfMotion, positions: ArrayLike, velocities: Array
 
 def checked_vector(name: str, given: ArrayLike, components: tuple[str, ...], *sizes: int) -> Array:
     """A vector of one of the sizes; raises ValueError for other shapes and values that are not finite."""
-    vector = np.array(given, dtype=float)
+    vector = real_array(name, given, finite=False)
     if vector.shape not in [(size,) for size in sizes]:
         accepted = " or ".join(f"({size},)" for size in sizes)
         raise ValueError(f"{name}: given shape {vector.shape}; accepted: shape {accepted}")
@@ -293,6 +305,7 @@ def checked_vector(name: str, given: ArrayLike, components: tuple[str, ...], *si
 
 def _given_model(orbit: Orbit) -> tuple[Any, dict[str, float]]:
     """The model of an orbit as its caller stated it, and the values of its parameters."""
+    check_instance("orbit", orbit, Orbit)
     periodic = getattr(orbit.space, "periodic", None)
     model = orbit.model if periodic is None else periodic.given
     # The parameter for S in the normalisation of a family is none of its orbits, and not in the equations.
@@ -330,7 +343,7 @@ def unit_direction(
     elif key == "vector":
         direction = checked_vector("vector", value, components, *sorted({sites, len(components)}))
     else:
-        direction = np.random.default_rng(value).normal(size=sites)
+        direction = np.random.default_rng(whole("seed", value, 0)).normal(size=sites)
     largest = float(np.abs(direction).max())
     if largest == 0.0:
         raise ValueError("vector: given zeros; accepted: a vector with a direction")
@@ -363,10 +376,8 @@ def perturbed(
     """
     equations = equations_of_motion(*_given_model(orbit))
     n = equations.positions or equations.size
-    if not np.isfinite(size):
-        raise ValueError(f"size: given {size!r}; accepted: a finite number")
     direction = unit_direction("perturbation", equations.names, n, {"site": site, "vector": vector, "seed": seed})
-    return _displaced(orbit, equations, size * direction)
+    return _displaced(orbit, equations, number("size", size) * direction)
 
 
 def _displaced(orbit: Orbit, equations: EquationsOfMotion, by: Array) -> tuple[Array, Array]:
@@ -410,7 +421,7 @@ def simulate_orbit(
         EvolutionError: the integrator fails.
     """
     model, values = _given_model(orbit)
-    if size != 0 or site is not None or vector is not None or seed is not None:
+    if number("size", size) != 0 or site is not None or vector is not None or seed is not None:
         start = perturbed(orbit, size, site=site, vector=vector, seed=seed)
     else:
         start = _displaced(orbit, equations_of_motion(model, values), np.zeros(0))
@@ -459,6 +470,9 @@ def distance_from_orbit(orbit: Any, evolution: Evolution) -> Array:
         of the mean square distance of the orbit from its mean. In a forced model it is the distance to the point that
         the orbit has at the same time, in others to the nearest: a shift of phase alone has no distance.
     """
+    check_instance("evolution", evolution, Evolution)
+    if not hasattr(orbit, "coefficients"):
+        check_instance("orbit", orbit, Orbit)
     space = getattr(orbit, "space", None)
     if space is not None and space.connects != FAMILY:
         curve, sizes = _state_curve(orbit)
@@ -508,8 +522,7 @@ def simulate(
     times = real_array("t", t).ravel()
     if times.size < 2 or np.any(np.diff(times) <= 0):
         raise ValueError(f"t: given {short_repr(times.tolist())}; accepted: two or more times, ascending")
-    if not 1e-13 <= number("tolerance", tolerance) <= 1e-2:
-        raise ValueError(f"tolerance: given {tolerance!r}; accepted: 1e-13 to 1e-2")
+    _check_tolerance(tolerance)
     x = consistent(equations.physical, equations.values, x, float(times[0]))
     later = simulated(equations.physical, equations.values, x, times, tolerance)
     states = np.vstack([x[None], later.states])

@@ -27,7 +27,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import ComplexArray
-from casadi_skin.model.arguments import check_name
+from casadi_skin.model.arguments import check_instance, check_name
 from casadi_skin.model.result import in_turn
 from casadi_skin.points.gradient import Gradient
 from casadi_skin.solve.watch import one_thread
@@ -90,6 +90,7 @@ class Resonance:
 @in_turn
 def conservative_part(lattice: Lattice) -> Lattice:
     """The same lattice without damping and drives."""
+    check_instance("lattice", lattice, Lattice)
     declared = lattice.declaration
     sites = [replace(site, damping="0", drive="0") for site in declared.sites]
     return Lattice(declared.cells, sites, declared.bonds, declared.boundary, declared.parameters, lattice.name)
@@ -109,6 +110,8 @@ def energy_balance(lattice: Lattice, orbit: Orbit) -> EnergyBalance:
     Raises:
         ValueError: the model of the orbit has other components.
     """
+    check_instance("lattice", lattice, Lattice)
+    check_instance("orbit", orbit, Orbit)
     drive, damping, v = _weighted_forces(lattice, orbit, orbit.parameters)
     power = [float(np.mean((force * v).sum(axis=1))) for force in (drive, damping)]
     return EnergyBalance(orbit.period * power[0], orbit.period * power[1])
@@ -133,6 +136,7 @@ def resonances(
     Raises:
         ValueError: the lattice has no drive or no damping, or its conservative part no such family.
     """
+    check_instance("lattice", lattice, Lattice)
     check_name("frequency", frequency, tuple(lattice.declaration.scalars))
     if not (lattice.equations.damped and lattice.equations.driven):
         raise ValueError("lattice: given one without damping or without a drive; accepted: with both")

@@ -17,7 +17,7 @@ from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.declaration import FIXED, PERIODIC, Array
 from casadi_skin.lattice.lattice import Lattice
 from casadi_skin.lattice.linear import lattice_modes
-from casadi_skin.model.arguments import number, short_repr
+from casadi_skin.model.arguments import check_instance, number, short_repr, truth
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.zero.model_coordinates import linear_spectrum
 from casadi_skin.zero.statement import named_values
@@ -62,7 +62,7 @@ def initial_state(
     n = model.declaration.size if model.declaration else equations.positions or equations.size
     choices = {"mode": mode, "site": site, "vector": vector, "seed": seed}
     direction = unit_direction("start", equations.names, n, choices, partial(_mode, model, parameters))
-    if moving and n == equations.size:
+    if truth("moving", moving) and n == equations.size:
         words = f"given with {equations.physical.name}, of first order; accepted: a model with positions"
         raise ValueError(f"moving: {words}")
     if moving and direction.size != n:
@@ -131,6 +131,7 @@ def spreading(evolution: Evolution) -> Spreading:
         TypeError: the model is no lattice.
         ValueError: a force has no antiderivative that is known.
     """
+    check_instance("evolution", evolution, Evolution)
     lattice = as_lattice(evolution.model)
     energies = energies_by_site(lattice, evolution.states, evolution.parameters)
     declaration = lattice.declaration
@@ -175,7 +176,7 @@ def energies_by_site(lattice: Lattice, states: ArrayLike, parameters: Mapping[st
     if z.shape[1] != 2 * n:
         raise ValueError(f"states: given shape {z.shape}; accepted: (many, {2 * n})")
     function = ca.Function("e", [equations.y, equations.v, equations.parameters], [energies])
-    values = np.array(list(named_values(lattice, parameters or {}).values()))
+    values = np.array(list(named_values(lattice, parameters).values()))
     return np.array(function.map(len(z))(z[:, :n].T, z[:, n:].T, np.tile(values[:, None], len(z)))).T
 
 

@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_skin.fmu.description import fmpy_package
-from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.arguments import file_path, short_repr
+from casadi_skin.model.result import in_turn
 
 LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
 EXTERNAL_CLASS_NAME = "External"  # CasADi's class name of a function in a library that is loaded when it is called
@@ -373,6 +374,7 @@ def _compile(compiler: str, arguments: Sequence[str], folder: Path | None = None
         )
 
 
+@in_turn
 def build_c(directory: str | Path, compiler: str | None = None) -> Path:
     """Compile the example program of an export of C code into its directory.
 
@@ -386,7 +388,9 @@ def build_c(directory: str | Path, compiler: str | None = None) -> Path:
     Raises:
         ValueError: The directory is no export; as CompilerError, the compiler is missing or fails.
     """
-    folder = Path(directory)
+    folder = file_path("directory", directory)
+    if compiler is not None:
+        file_path("compiler", compiler)
     sources = sorted(path.name for path in folder.glob("*.c") if "_ipopt" not in path.stem)
     if "main.c" not in sources:
         raise ValueError(f"directory: given {short_repr(str(directory))}; accepted: one that export_c wrote")

@@ -17,7 +17,7 @@ from casadi_skin.follow.events import StabilityChange
 from casadi_skin.follow.passages import passage, zeros_between
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.special_points import SpecialPoint, folds_of_family, special_point
-from casadi_skin.model.arguments import cut, number, short_repr, whole
+from casadi_skin.model.arguments import check_instance, check_name, cut, number, whole
 from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.solve.watch import Budget, TimeLimitError
@@ -512,8 +512,8 @@ def harmonic_shares(orbit: Orbit, coordinates: str = "gauge") -> Array:
 
     x is the displacement in the "gauge", where no site is favoured, or "physical". Raises ValueError for other words.
     """
-    if coordinates not in ("gauge", "physical"):
-        raise ValueError(f"coordinates: given {short_repr(coordinates)}; accepted: gauge, physical")
+    check_instance("orbit", orbit, Orbit)
+    check_name("coordinates", coordinates, ("gauge", "physical"))
     count = max(4, orbit.harmonics)
     if coordinates == "physical":
         c = orbit.coefficients(count)
@@ -535,6 +535,7 @@ def third_harmonic_leads(branch: Branch, coordinates: str = "gauge") -> Orbit | 
         shares = harmonic_shares(orbit, coordinates)
         return float(shares[1] - shares[0])
 
+    check_instance("branch", branch, Branch)
     leads = [lead(orbit) for orbit in branch.orbits]
     leading = next((k for k, value in enumerate(leads) if value >= 0), None)
     if not leading:

@@ -21,7 +21,7 @@ from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.lattice.declaration import FIXED, Bond, Declaration, Site
 from casadi_skin.lattice.equations import LARGEST_LOG_WEIGHT
 from casadi_skin.lattice.stiffness import stiffness
-from casadi_skin.model.arguments import number, short_repr
+from casadi_skin.model.arguments import by_name, number, short_repr
 from casadi_skin.model.expressions import expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.polynomial import NotPolynomialError, polynomial_terms
@@ -35,7 +35,7 @@ def _is_whole(number: object) -> bool:
 
 def check_no_parameters(given: Mapping[str, float] | None) -> None:
     """Raises ValueError for values of parameters that are given beside a chain, which has its own."""
-    if given:
+    if by_name("parameters", given):
         raise ValueError(f"parameters: given {short_repr(given)}; accepted: with an OdeModel alone")
 
 

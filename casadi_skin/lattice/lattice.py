@@ -118,7 +118,7 @@ class Lattice(OdeModel):
 
     def stiffness(self, parameters: Mapping[str, float] | None = None) -> Array:
         """K of y'' = -K y about rest without damping and drives, shape (sites, sites), at values of the parameters."""
-        equations, values = self.equations, list(named_values(self, parameters or {}).values())
+        equations, values = self.equations, list(named_values(self, parameters).values())
         derivative = ca.densify(ca.jacobian(equations.accelerations, equations.y))
         function = ca.Function("K", [equations.y, equations.v, equations.t, equations.parameters], [-derivative])
         return np.array(function(0, 0, 0, values))
@@ -135,7 +135,7 @@ class Lattice(OdeModel):
         self, mode: int | str, amplitude_max: float, method: Method, parameters: Mapping[str, float] | None = None
     ) -> Coordinates:
         """Those of the chain where the lattice declares one with such a family; see `follow_family`."""
-        values = named_values(self, parameters or {})
+        values = named_values(self, parameters)
         chain = declared_chain(self.declaration, self.equations.reversible, values)
         if chain is not None:
             try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.lattice.declaration import Array
 from casadi_skin.lattice.lattice import Lattice
+from casadi_skin.model.arguments import check_instance, truth, whole
+from casadi_skin.model.expressions import real_array
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.zero.model_coordinates import eigenmodes, symmetrising_scale
 
@@ -70,6 +73,7 @@ def lattice_modes(lattice: Lattice, parameters: Mapping[str, float] | None = Non
     Raises:
         ValueError: unknown parameters.
     """
+    check_instance("lattice", lattice, Lattice)
     K, declaration = lattice.stiffness(parameters), lattice.declaration
     found = eigenmodes(K, symmetrising_scale(K))
     scale = np.exp(found.log_scale)[:, None]
@@ -152,8 +156,9 @@ def bands(
     Raises:
         ValueError: the cells differ.
     """
-    waves = _wave_numbers(len(lattice.declaration.cells), points)
-    squares, beta = _squares(lattice, parameters, open_ends, waves)
+    check_instance("lattice", lattice, Lattice)
+    waves = _wave_numbers(len(lattice.declaration.cells), whole("points", points, 1, MOST_WAVE_NUMBERS))
+    squares, beta = _squares(lattice, parameters, truth("open_ends", open_ends), waves)
     return Bands(waves, squares, tuple(beta.tolist()))
 
 
@@ -161,7 +166,7 @@ def _squares(
     lattice: Lattice, parameters: Mapping[str, float] | None, open_ends: bool, waves: Array
 ) -> tuple[ComplexArray, Array]:
     """omega^2 of waves, ascending by real part, shape (waves, sites of a cell); and |beta| along each direction."""
-    beta = _beta(lattice, parameters or {}) if open_ends else np.ones(len(lattice.declaration.cells))
+    beta = _beta(lattice, parameters) if open_ends else np.ones(len(lattice.declaration.cells))
     squares = np.linalg.eigvals(cell_matrices(lattice, beta * np.exp(1j * waves), parameters)).astype(complex)
     return np.take_along_axis(squares, np.argsort(squares.real, axis=1), axis=1), beta
 
@@ -213,7 +218,7 @@ def cell_matrices(lattice: Lattice, betas: ComplexArray, parameters: Mapping[str
     return np.asarray(np.einsum("bc,icj->bij", factors, K))
 
 
-def _beta(lattice: Lattice, parameters: Mapping[str, float]) -> Array:
+def _beta(lattice: Lattice, parameters: Mapping[str, float] | None) -> Array:
     """Decay of displacements per cell along each direction: the ratio of gauge factors of neighbouring cells."""
     logs, declaration = symmetrising_scale(lattice.stiffness(parameters)), lattice.declaration
     if logs is None:
@@ -253,8 +258,7 @@ def winding_numbers(lattice: Lattice, squares: ArrayLike, parameters: Mapping[st
     Raises:
         ValueError: the lattice has two dimensions, or cells that differ.
     """
-    _check(lattice)
-    values, points = np.atleast_1d(np.asarray(squares, dtype=complex)), FEWEST_WAVE_NUMBERS
+    values, points = _given_squares(lattice, squares), FEWEST_WAVE_NUMBERS
     found, undecided = np.full(values.size, np.nan), np.arange(values.size)
     while undecided.size and points <= MOST_WAVE_NUMBERS:
         k = 2.0 * np.pi * np.arange(points + 1) / points
@@ -285,8 +289,7 @@ def brillouin_zone(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str
     Raises:
         ValueError: the lattice has two dimensions, or cells that differ.
     """
-    _check(lattice)
-    values, p = np.atleast_1d(np.asarray(squares, dtype=complex)), len(lattice.declaration.sites)
+    values, p = _given_squares(lattice, squares), len(lattice.declaration.sites)
     reach = p * max((abs(bond.offset[0]) for bond in lattice.declaration.bonds), default=1)
     circle = np.exp(2j * np.pi * np.arange(2 * reach + 1) / (2 * reach + 1))
     matrices = cell_matrices(lattice, circle[:, None], parameters)
@@ -304,6 +307,12 @@ def brillouin_zone(lattice: Lattice, squares: ArrayLike, parameters: Mapping[str
     return found
 
 
-def _check(lattice: Lattice) -> None:
+def _given_squares(lattice: Lattice, squares: ArrayLike) -> ComplexArray:
+    """Values of omega^2 as an array, shape (values,); raises ValueError and TypeError, for the lattice as well."""
+    check_instance("lattice", lattice, Lattice)
     if len(lattice.declaration.cells) != 1:
         raise ValueError(f"lattice: given {len(lattice.declaration.cells)} dimensions; accepted: one")
+    with suppress(ValueError):  # rows of different lengths, which are refused below
+        if np.iscomplexobj(squares):
+            return np.atleast_1d(np.asarray(squares, dtype=complex))
+    return np.atleast_1d(real_array("squares", squares)).astype(complex)

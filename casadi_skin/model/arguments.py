@@ -77,6 +77,13 @@ def accepted_names(name: object, known: Iterable[str]) -> str:
     return did_you_mean(near, ", ".join(names) or "none")
 
 
+def check_instance(name: str, value: object, *kinds: type) -> None:
+    """Raises TypeError where the value is of none of these classes."""
+    if not isinstance(value, kinds):
+        accepted = " or ".join(f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}" for kind in kinds)
+        raise TypeError(f"{name}: given {short_repr(value)}; accepted: {accepted}")
+
+
 def check_name(label: str, name: object, known: Iterable[str]) -> None:
     """Raises ValueError, with the nearest known name, for an unknown one."""
     names = list(known)

@@ -219,8 +219,8 @@ def _slope(argument: ca.SX, x: ca.SX) -> ca.SX | None:
 # Checks of arguments that are arrays of numbers, as in `arguments` ----------------------------------------------------
 
 
-def real_array(name: str, value: Any, accepted: str = "finite numbers") -> NDArray[np.float64]:
-    """The value as an array of floats; raises TypeError where it is none, ValueError where a number is not finite.
+def real_array(name: str, value: Any, accepted: str = "finite numbers", finite: bool = True) -> NDArray[np.float64]:
+    """The value as an array of floats; raises TypeError where it is none, ValueError where one is not `finite`.
 
     A matrix of CasADi's numbers (DM) is an array, and one of one column a vector.
     """
@@ -238,7 +238,7 @@ def real_array(name: str, value: Any, accepted: str = "finite numbers") -> NDArr
     if found.dtype.kind not in "iuf" and found.size:  # text, truths, complex numbers and objects are none
         raise TypeError(_refused(name, value, accepted))
     found = found.astype(float)
-    if not np.all(np.isfinite(found)):
+    if finite and not np.all(np.isfinite(found)):
         raise ValueError(_refused(name, value, accepted))
     return found.ravel() if full is not value and found.ndim == 2 and found.shape[1] == 1 else found
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import casadi as ca
 import msgspec
 
-from casadi_skin.model.arguments import cut, file_path, short_repr
+from casadi_skin.model.arguments import check_instance, cut, file_path, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.loading import read_source
 from casadi_skin.model.ode import OdeModel
@@ -78,8 +78,7 @@ def save_model(model: OdeModel, path: str | Path) -> Path:
         TypeError: An argument is of another kind.
         OSError: The file cannot be written.
     """
-    if not isinstance(model, OdeModel):
-        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    check_instance("model", model, OdeModel)
     target, text = file_path("path", path), dumps(model)
     with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.arguments import by_name, check_name, number, short_repr
+from casadi_skin.model.arguments import by_name, check_instance, check_name, number, short_repr
 from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison, product
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import WithVerbs
@@ -88,8 +88,7 @@ class Statement(WithVerbs):
     # Checks ---------------------------------------------------------------------------------------------------------
 
     def _check_kinds(self) -> None:
-        if not isinstance(self.model, OdeModel):
-            raise TypeError(f"model: given {short_repr(self.model)}; accepted: an OdeModel")
+        check_instance("model", self.model, OdeModel)
         if not isinstance(self.free, list | tuple):
             raise TypeError(f"free: given {short_repr(self.free)}; accepted: a list of names of parameters")
         object.__setattr__(self, "parameters", by_name("parameters", self.parameters))

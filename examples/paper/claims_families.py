@@ -22,9 +22,7 @@ from paper_data import (
 )
 from scipy.optimize import brentq
 
-from casadi_skin.follow.branch import Branch
-from casadi_skin.lattice import closed_forms as linear
-from casadi_skin.lattice import closed_forms as multiple_scales
+from casadi_skin import Branch, closed_forms
 
 EXCELLENT = 0.05  # relative error of the shift up to which theory is called in excellent agreement here
 
@@ -39,11 +37,11 @@ def family_claims(data: PaperData) -> Iterator[Claim]:
 
 
 def _slope(g: float, mode: int) -> float:
-    return multiple_scales.frequency_slope(SITES, ALPHA, GAMMA, g, mode)
+    return closed_forms.frequency_slope(SITES, ALPHA, GAMMA, g, mode)
 
 
 def _theory(data: PaperData) -> Iterator[Claim]:
-    u, v = (f(SITES, GAMMA, 1) for f in (linear.right_eigenvector, linear.left_eigenvector))
+    u, v = (f(SITES, GAMMA, 1) for f in (closed_forms.right_eigenvector, closed_forms.left_eigenvector))
     main = 2 / (SITES + 1) * np.sum(v * u**3) / (np.sum(v * u) / ((SITES + 1) / 2))
     appendix = np.sum(v * u**3) / np.sum(v * u)
     yield claim(
@@ -175,7 +173,7 @@ def _periods(data: PaperData) -> Iterator[Claim]:
 def _likeness(data: PaperData) -> Iterator[Claim]:
     """The profiles of Fig. 3 beside the linear modes."""
     for where, orbit, mode in (("Fig. 3(b)", data.hardening_orbit, SITES), ("Fig. 3(e)", data.softening_orbit, 1)):
-        linear_mode = linear.right_eigenvector(SITES, GAMMA, mode)
+        linear_mode = closed_forms.right_eigenvector(SITES, GAMMA, mode)
         overlap = abs(float(linear_mode @ orbit.profile))
         overlap /= float(np.linalg.norm(linear_mode) * np.linalg.norm(orbit.profile))
         yield claim(

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 from claim import Claim, Verdict, claim, rounds_to
-from paper_data import ALPHA, GAMMA, SITES, PaperData
+from paper_data import ALPHA, GAMMA, SITES, Array, PaperData
 
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.zero.problem import Array
+from casadi_skin import Chain
 
 ROUND_OFF = 1e-12
 

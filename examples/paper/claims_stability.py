@@ -8,8 +8,7 @@ import numpy as np
 from claim import Claim, Verdict, claim
 from paper_data import GAMMA, KICK, SITES, TOLERANCE, PaperData
 
-from casadi_skin.dynamics import distance_from_orbit
-from casadi_skin.follow.solution import Orbit
+from casadi_skin import Orbit, distance_from_orbit
 from tests.studies.integration import monodromy_eigenvalues
 
 

@@ -15,6 +15,7 @@ from paper_data import (
     SITES,
     STATED_P,
     STATED_Q,
+    Array,
     PaperData,
     Rows,
     Sensitivity,
@@ -23,10 +24,7 @@ from paper_data import (
     table,
 )
 
-from casadi_skin.dynamics import Evolution
-from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.solution import Orbit
-from casadi_skin.lattice import closed_forms as multiple_scales
+from casadi_skin import Branch, Evolution, Orbit, closed_forms
 from casadi_skin.results.figures.evolutions import draw_spacetime
 from casadi_skin.results.figures.families import LINES, MARKERS, draw_band, family_path, family_pieces, label_ends
 from casadi_skin.results.figures.style import (
@@ -42,7 +40,6 @@ from casadi_skin.results.figures.style import (
 from casadi_skin.results.quantities import columns_of, csv_row, places_of
 from casadi_skin.results.tables import EVENT_COLUMNS, event_rows
 from casadi_skin.runs.study import letter
-from casadi_skin.zero.problem import Array
 
 Drawn = tuple[Figure, dict[str, Rows]]
 DASHED = (0, (3.0, 1.6))  # unstable
@@ -164,7 +161,7 @@ def theory_figure(data: PaperData) -> Drawn:
         paths, rows = [], []
         for (mode, branch), colour, dashes in zip(data.hardening.items(), colours(len(branches)), DASHES, strict=True):
             path = family_path(branch, False)
-            slope = multiple_scales.frequency_slope(chain.sites, chain.alpha, chain.gamma, chain.g, mode)
+            slope = closed_forms.frequency_slope(chain.sites, chain.alpha, chain.gamma, chain.g, mode)
             theory = branch.start.Omega + slope * path[:, 0]
             left.plot(*path.T, color=colour, lw=3.5, alpha=0.55)
             left.plot(path[:, 0], theory, color="black", lw=1.0, ls=dashes)

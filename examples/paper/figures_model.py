@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from figures_families import Drawn
 from matplotlib.axes import Axes
-from paper_data import ALPHA, GAMMA, SITES, PaperData, stacked, table
+from paper_data import ALPHA, GAMMA, SITES, Array, PaperData, stacked, table
 
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.results.figures.style import blank, finished, number_sites, style, title
+from casadi_skin import Chain, style
+from casadi_skin.results.figures.style import blank, finished, number_sites, title
 from casadi_skin.runs.study import letter
-from casadi_skin.zero.problem import Array
 
 RIGHT_TO_LEFT, LEFT_TO_RIGHT = "#b2182b", "#2166ac"  # red and blue, as in the paper; distinguished by arrows as well
 

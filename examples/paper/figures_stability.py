@@ -15,17 +15,13 @@ from figures_families import (
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from paper_data import KICK, KICK_TIME, SITES, PaperData, Rows, stacked, table
+from paper_data import KICK, KICK_TIME, SITES, Array, PaperData, Rows, stacked, table
 
-from casadi_skin.dynamics import Evolution, simulate_orbit
-from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.solution import Orbit
+from casadi_skin import Branch, Evolution, Orbit, simulate_orbit, style
 from casadi_skin.results.figures.multipliers import MODULUS_LABEL, draw_plane
 from casadi_skin.results.figures.multipliers import moduli as moduli_line
-from casadi_skin.results.figures.style import AMPLITUDE_LABEL, blank, finished, number, style, title
+from casadi_skin.results.figures.style import AMPLITUDE_LABEL, blank, finished, number, title
 from casadi_skin.runs.study import letter
-from casadi_skin.stability.reduction import ComplexArray
-from casadi_skin.zero.problem import Array
 
 DENSE = 400  # places along the family of which all multipliers are drawn
 MARKED = (1.0, 3.0)  # S of panels (b) and (c) of figure 5
@@ -35,7 +31,7 @@ KICKED_SITES = (SITES, 1)
 # Figure 5 -----------------------------------------------------------------------------------------------------------
 
 
-def sorted_vectors(orbit: Orbit) -> tuple[ComplexArray, Array, NDArray[np.bool_]]:
+def sorted_vectors(orbit: Orbit) -> tuple[NDArray[np.complex128], Array, NDArray[np.bool_]]:
     """Multipliers in increasing modulus (then phase), their vectors' sizes by site, and whether each is trivial.
 
     Shapes (2N,), (2N, N), (2N,). The size at a site is the norm of displacement and velocity, divided by the largest.

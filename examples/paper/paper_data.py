@@ -7,16 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from casadi_skin.dynamics import Evolution, simulate_orbit
-from casadi_skin.follow.branch import Branch
-from casadi_skin.follow.follow import follow_family
-from casadi_skin.follow.solution import Orbit
-from casadi_skin.lattice import closed_forms as multiple_scales
-from casadi_skin.lattice.chain import Chain
-from casadi_skin.stability.growth import TransientGrowth
-from casadi_skin.zero.problem import Array
+from casadi_skin import (
+    Branch,
+    Chain,
+    Evolution,
+    Orbit,
+    TransientGrowth,
+    closed_forms,
+    follow_family,
+    simulate_orbit,
+)
 
 SITES, ALPHA, GAMMA = 24, 1.0, 0.25
 MODES = (1, 6, 10, 14, 18, 24)
@@ -34,6 +36,7 @@ KICK = 0.005
 KICK_TIME = 40.0
 EVOLUTION_TIME = 50.0
 
+Array = NDArray[np.float64]
 Rows = tuple[Sequence[str], Sequence[Mapping[str, object]]]
 
 
@@ -74,8 +77,8 @@ class Sensitivity:
 
 def sensitivity(sites: int, alpha: float, gamma: float, g: float, mode: int) -> float:
     """Sensitivity factor |d((Omega - omega_j)/omega_j)/dS| (paper, equation for the sensitivity)."""
-    omega = np.sqrt(multiple_scales.squared_frequency(sites, alpha, gamma, mode))
-    return abs(multiple_scales.frequency_slope(sites, alpha, gamma, g, mode)) / float(omega)
+    omega = np.sqrt(closed_forms.squared_frequency(sites, alpha, gamma, mode))
+    return abs(closed_forms.frequency_slope(sites, alpha, gamma, g, mode)) / float(omega)
 
 
 def sensitivity_limit(alpha: float, gamma: float, g: float, mode: int) -> float:
@@ -86,7 +89,7 @@ def sensitivity_limit(alpha: float, gamma: float, g: float, mode: int) -> float:
     """
     if not 0.0 < abs(gamma) < 1.0:
         raise ValueError(f"gamma: given {gamma!r}; accepted: 0 < |gamma| < 1")
-    lowest = alpha + 2.0 * gamma**2 / (1.0 + multiple_scales.gauge_coupling(gamma))
+    lowest = alpha + 2.0 * gamma**2 / (1.0 + closed_forms.gauge_coupling(gamma))
     return float(0.75 * abs(g) * (np.pi * mode / gamma) ** 2 * (3.0 - 2.0 * gamma**2) / lowest)
 
 

@@ -12,8 +12,7 @@ from drawing import blank_pictures
 from outputs import EXAMPLES, drawn, load, read_rows
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Orbit
-from casadi_skin.dynamics import distance_from_orbit, evolve
+from casadi_skin import Orbit, distance_from_orbit, evolve
 from casadi_skin.runs.program import main
 
 Run = Callable[..., Any]
@@ -188,7 +187,7 @@ def test_duffing_check(run: Run) -> None:
     mpmath = pytest.importorskip("mpmath")
     with mpmath.workdps(30):  # the closed form that the example compares with, S = 2, g = -1, omega^2 = 3
         exact = mpmath.pi * mpmath.sqrt(1) / (2 * mpmath.ellipk(mpmath.mpf(-1)))
-    assert abs(example.duffing_frequency(3.0, -1.0, np.sqrt(2.0)) / float(exact) - 1) < 1e-15
+    assert abs(example.closed_forms.duffing_frequency(3.0, -1.0, np.sqrt(2.0)) / float(exact) - 1) < 1e-15
     for true, estimated in errors.values():
         assert np.all(true <= np.maximum(example.TOLERANCES, 1e-15))
         assert np.all(true <= np.maximum(estimated, 1e-15))

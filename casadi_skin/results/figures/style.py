@@ -202,7 +202,7 @@ def _settings() -> dict[str, Any]:
     """The style sheet, read once."""
     import matplotlib
 
-    sheet = files("casadi_skin.results.figures") / "house.mplstyle"
+    sheet = files("casadi_skin") / "house.mplstyle"
     with as_file(sheet) as path:
         return dict(matplotlib.rc_params_from_file(path, use_default_template=False).items())
 
