@@ -33,7 +33,7 @@ from casadi_skin.runs.scene import DesignTable, DynamicsTable, ExportTable, Scen
 from casadi_skin.search.design import ENGINE, Design
 
 if TYPE_CHECKING:
-    from casadi_skin.dynamics import Evolution
+    from casadi_skin.dynamics.evolution import Evolution
     from casadi_skin.dynamics.starts import Spreading
     from casadi_skin.follow.special_points import SpecialPoint
 
@@ -110,7 +110,7 @@ class Dynamics(Task):
 
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:
         """Follow the motion as far as that can be done; of branches that were computed."""
-        from casadi_skin.dynamics import EvolutionError
+        from casadi_skin.dynamics.evolution import EvolutionError
 
         if not (run.branches or self.alone):
             return
@@ -139,7 +139,7 @@ class Dynamics(Task):
 
         Raises ValueError where the time is out of reach, EvolutionError where the integrator fails.
         """
-        from casadi_skin.dynamics import simulate_orbit
+        from casadi_skin.dynamics.evolve import simulate_orbit
 
         asked = self.asked
         kick = {"site": asked.site, "vector": asked.vector, "seed": asked.seed}
@@ -151,8 +151,8 @@ class Dynamics(Task):
 
         Sampled by the period of the fastest linear mode, where there are such modes.
         """
-        from casadi_skin.dynamics import evolve
         from casadi_skin.dynamics.evolution import equations_of_motion
+        from casadi_skin.dynamics.evolve import evolve
         from casadi_skin.lattice.linear import lattice_modes
         from casadi_skin.runs.first_solution import start_near_rest
 

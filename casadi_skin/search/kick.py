@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import newton
 
-from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve
+from casadi_skin.dynamics.evolution import EvolutionError
+from casadi_skin.dynamics.evolve import distance_from_orbit, evolve
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole

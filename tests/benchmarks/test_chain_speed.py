@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from stopwatch import seconds
 
-from casadi_skin import Chain, follow_family, optimise, smallest_kick
-from casadi_skin.dynamics import evolve
+from casadi_skin import Chain, evolve, follow_family, optimise, smallest_kick
 
 pytestmark = pytest.mark.benchmark
 

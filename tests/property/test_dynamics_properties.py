@@ -7,8 +7,7 @@ from effort import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from casadi_skin import Chain
-from casadi_skin.dynamics import evolve
+from casadi_skin import Chain, evolve
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.model.methods import INTEGRATORS
 

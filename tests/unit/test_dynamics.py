@@ -9,8 +9,16 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from casadi_skin import Chain, Orbit, follow_family
-from casadi_skin.dynamics import EvolutionError, distance_from_orbit, evolve, perturbed, simulate_orbit
+from casadi_skin import (
+    Chain,
+    EvolutionError,
+    Orbit,
+    distance_from_orbit,
+    evolve,
+    follow_family,
+    perturbed,
+    simulate_orbit,
+)
 from casadi_skin.dynamics.evolution import LONGEST_ENVELOPE
 from casadi_skin.lattice.closed_forms import Array, duffing_displacement
 from casadi_skin.model.methods import INTEGRATORS

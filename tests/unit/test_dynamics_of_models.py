@@ -10,15 +10,19 @@ import pytest
 from scipy.linalg import expm
 from small_models import duffing, forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
 
-from casadi_skin import Chain, OdeModel, Orbit, follow_family, simulate
-from casadi_skin.dynamics import (
+from casadi_skin import (
+    Chain,
     EvolutionError,
+    OdeModel,
+    Orbit,
     distance_from_orbit,
-    equations_of_motion,
     evolve,
+    follow_family,
     perturbed,
+    simulate,
     simulate_orbit,
 )
+from casadi_skin.dynamics.evolution import equations_of_motion
 from casadi_skin.model.methods import INTEGRATORS
 
 METHODS = tuple(INTEGRATORS)

@@ -29,6 +29,7 @@ from casadi_skin import (
     Lattice,
     OdeModel,
     Site,
+    evolve,
     find_equilibrium,
     find_orbit,
     fit_parameters,
@@ -40,7 +41,6 @@ from casadi_skin import (
     simulate,
     smallest_kick,
 )
-from casadi_skin.dynamics import evolve
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.lattice.linear import bands, lattice_modes
 from casadi_skin.model.arguments import with_error

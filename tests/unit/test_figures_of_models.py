@@ -16,8 +16,18 @@ from matplotlib.figure import Figure
 from PIL import Image
 from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
 
-from casadi_skin import Bond, BoundaryValueProblem, Branch, Chain, Lattice, OdeModel, Site, find_orbit, follow_family
-from casadi_skin.dynamics import simulate_orbit
+from casadi_skin import (
+    Bond,
+    BoundaryValueProblem,
+    Branch,
+    Chain,
+    Lattice,
+    OdeModel,
+    Site,
+    find_orbit,
+    follow_family,
+    simulate_orbit,
+)
 from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.follow.solution import Solution
 from casadi_skin.results.figures.bands import spectrum_figure

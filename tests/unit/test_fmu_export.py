@@ -21,8 +21,7 @@ from fmu_running import Array, Running, running
 from lxml import etree
 from scipy.integrate import solve_ivp
 
-from casadi_skin import Chain, OdeModel, find_orbit, follow_family
-from casadi_skin.dynamics import evolve
+from casadi_skin import Chain, OdeModel, evolve, find_orbit, follow_family
 from casadi_skin.export import codegen as compilers
 from casadi_skin.fmu.archive import export_fmu
 from casadi_skin.fmu.initial_value_problem import chain_with_outputs

@@ -26,13 +26,13 @@ from casadi_skin import (
     BoundaryValueProblem,
     Chain,
     OdeModel,
+    evolve,
     find_orbit,
     follow_family,
     import_fmu,
     save_model,
     simulate,
 )
-from casadi_skin.dynamics import evolve
 from casadi_skin.fmu.archive import export_fmu
 from casadi_skin.fmu.model import FmuModel
 from casadi_skin.model.integrators import cvodes, dop853

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from casadi_skin import Chain, export_fmu
-from casadi_skin.dynamics import evolve
+from casadi_skin import Chain, evolve, export_fmu
 
 pytestmark = [
     pytest.mark.slow,

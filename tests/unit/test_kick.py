@@ -18,8 +18,7 @@ from apart import killing
 from scipy.optimize import brentq
 
 import casadi_skin.search.kick
-from casadi_skin import Chain, Orbit, follow_family, smallest_kick
-from casadi_skin.dynamics import distance_from_orbit, evolve
+from casadi_skin import Chain, Orbit, distance_from_orbit, evolve, follow_family, smallest_kick
 from casadi_skin.follow.closed_curve import cosine_curve
 from casadi_skin.lattice.closed_forms import Array
 from casadi_skin.search.cosine_orbit import CosineOrbit

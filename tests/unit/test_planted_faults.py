@@ -11,8 +11,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import erf
 
-from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Site, follow_family
-from casadi_skin.dynamics import evolve
+from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Site, evolve, follow_family
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.follow.find import packed, space_of
 from casadi_skin.search.designs import undominated

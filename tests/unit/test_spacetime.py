@@ -8,8 +8,7 @@ import pytest
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
-from casadi_skin import Chain, follow_family
-from casadi_skin.dynamics import Evolution, distance_from_orbit, evolve, simulate_orbit
+from casadi_skin import Chain, Evolution, distance_from_orbit, evolve, follow_family, simulate_orbit
 from casadi_skin.results.figures.evolutions import COLOUR_MAP, spacetime_figure
 
 pytestmark = pytest.mark.usefixtures("pictures")

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from lattices import GAINS, chain, dimer, plane
 
-from casadi_skin import Bond, Chain, Lattice, OdeModel, Site
-from casadi_skin.dynamics import EvolutionError, evolve
+from casadi_skin import Bond, Chain, EvolutionError, Lattice, OdeModel, Site, evolve
 from casadi_skin.dynamics.starts import energies_by_site, initial_state, spreading
 from casadi_skin.lattice.linear import lattice_modes
 

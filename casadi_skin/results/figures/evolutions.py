@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.dynamics import Evolution
+from casadi_skin.dynamics.evolution import Evolution
 from casadi_skin.dynamics.evolve import distance_from_orbit
 from casadi_skin.dynamics.starts import Spreading
 from casadi_skin.follow.solution import Orbit
