@@ -31,7 +31,6 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.fmu.description import fmpy_package
 from casadi_skin.model.arguments import file_path, short_repr
-from casadi_skin.model.result import in_turn
 
 LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
 EXTERNAL_CLASS_NAME = "External"  # CasADi's class name of a function in a library that is loaded when it is called
@@ -374,7 +373,6 @@ def _compile(compiler: str, arguments: Sequence[str], folder: Path | None = None
         )
 
 
-@in_turn
 def build_c(directory: str | Path, compiler: str | None = None) -> Path:
     """Compile the example program of an export of C code into its directory.
 

@@ -277,7 +277,8 @@ def test_an_interrupt_ends_the_main_thread_alone(busy: Branch) -> None:
 # Whatever is public ---------------------------------------------------------------------------------------------------
 
 # Cells of maps take turns one by one; the others read no result and no model, but arrays, or text for a compiler.
-WITHOUT_TURN = ("run_map", "write_netcdf", "write_csv", "build_c")
+# The style takes its turn when it is entered.
+WITHOUT_TURN = ("run_map", "write_netcdf", "write_csv", "build_c", "style")
 NAMED = re.compile(r"^::: casadi_skin[.]([\w.]+)[.](\w+)$", re.MULTILINE)
 
 
