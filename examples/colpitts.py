@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from casadi_skin import OdeModel, find_equilibrium, simulate
-from casadi_skin.results.figures.style import style
+from casadi_skin import OdeModel, find_equilibrium, simulate, style
 
 # Units: C1 = C2 = L = 1 and the thermal voltage; the current that biases the transistor is varied.
 supply, top, collector, emitter, coil, battery, bias, R = (
