@@ -22,6 +22,7 @@ from casadi_skin.dynamics.evolution import (
 from casadi_skin.follow.closed_curve import Curve, cosine_curve
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import FAMILY
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import (
     by_name,
     check_instance,
@@ -45,7 +46,7 @@ from casadi_skin.model.integrators import (
     simulated,
     size_of,
 )
-from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.ode import OdeModel, model_of
 from casadi_skin.model.operations import read
 from casadi_skin.model.result import in_turn
 from casadi_skin.native import Structure, kernels, program_lists, stepped
@@ -489,7 +490,7 @@ def distance_from_orbit(orbit: Any, evolution: Evolution) -> Array:
 
 @in_turn
 def simulate(
-    model: OdeModel,
+    model: OdeModel | Chain,
     start: ArrayLike | Mapping[str, float],
     t: ArrayLike,
     *,
@@ -499,7 +500,7 @@ def simulate(
     """Follow a model in time by CVODES with formulas for stiff equations (BDF), one with algebraic equations by IDAS.
 
     Arguments:
-        model: any model; one of second order is followed in positions and velocities.
+        model: any model, a `Chain` too; one of second order is followed in positions and velocities.
         start: the state at the first of the times, shape (component,), or numbers by state name, others 0.
         t: two or more times, ascending.
         parameters: values by name, where they are not the model's nominal ones.
@@ -512,9 +513,7 @@ def simulate(
         ValueError, TypeError: an argument does not fit the model.
         IntegrationError: CVODES fails, as where a state runs to infinity: with the times and the component.
     """
-    if not isinstance(model, OdeModel):
-        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
-    equations = equations_of_motion(model.first_order(), by_name("parameters", parameters))
+    equations = equations_of_motion(model_of(model).first_order(), by_name("parameters", parameters))
     given = state_by_name("start", start, equations.names) if isinstance(start, Mapping) else start
     x = real_array("start", given).ravel()
     if x.size != equations.size:

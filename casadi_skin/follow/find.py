@@ -20,6 +20,7 @@ import numpy as np
 from casadi_skin.follow.boundary_space import BoundarySpace
 from casadi_skin.follow.solution import Orbit, Solution
 from casadi_skin.follow.space import BoundaryError, FamilyError, NotRefinedError
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import (
     by_name,
@@ -37,7 +38,7 @@ from casadi_skin.model.declarations import check_forcing_period
 from casadi_skin.model.expressions import Expression, expression_of
 from casadi_skin.model.integrators import IntegrationError, stiff_cvodes
 from casadi_skin.model.jumps import JumpError
-from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.ode import OdeModel, model_of
 from casadi_skin.model.result import in_turn
 from casadi_skin.solve.levels import Levels, converged_mesh
 from casadi_skin.solve.newton import (
@@ -84,7 +85,7 @@ SHRUNK_MOTION, STILL_MOTION = 1e-6, 1e-12
 
 @in_turn
 def find_orbit(
-    model: OdeModel,
+    model: OdeModel | Chain,
     guess: Guess,
     period: float | None = None,
     *,
@@ -101,6 +102,8 @@ def find_orbit(
     **options: Any,
 ) -> Orbit:
     """The periodic orbit near a guess, closed or rotating.
+
+    `model` is an `OdeModel`, a `Lattice` or a `Chain`, in physical coordinates with parameters alpha, gamma and g.
 
     `guess` gives the states over one period from time 0 on, as in `BoundaryValueProblem.solve`; `period` guesses the
     period of an autonomous model, where the guess (a cycle, another orbit) has none; the orbit of a forced one closes
@@ -122,12 +125,11 @@ def find_orbit(
     `BoundaryValueProblem.solve`. Raises ValueError and TypeError for arguments that do not fit the model, BoundaryError
     where no orbit is found.
     """
-    if not isinstance(model, OdeModel):
-        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel")
+    model = model_of(model)
     turns = rotations_of(model, rotations, truth("symmetric", symmetric))
     check_orbit(model, period, select, section, symmetric, cycles, free)
     length = 0.0 if model.forced else guessed_period(guess, period)
-    model = model.decaying(lambda _: TWO_PI / (length or cycles * _forcing_period(model, parameters)))
+    model = model.decaying(lambda _: TWO_PI / (length or cycles * _forcing_period(model_of(model), parameters)))
     first = model.first_order()
     stated = {"section": section, "objective": objective, "running": running}
     section, objective, running = (scalar_of(label, given, first) for label, given in stated.items())

@@ -24,7 +24,7 @@ from casadi_skin.model import methods
 from casadi_skin.model.arguments import by_name, check_name, number, number_within, short_repr, state_by_name, whole
 from casadi_skin.model.integrators import simulated
 from casadi_skin.model.jumps import PARAMETER, STATE, JumpError
-from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.ode import OdeModel, model_of
 from casadi_skin.model.result import NoQuantityError, in_turn
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
@@ -447,11 +447,7 @@ def find_equilibria(
 
 def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:
     """The equations of a model at rest; raises ValueError and TypeError for objects that are no model."""
-    tunable = None if isinstance(model, type) else getattr(model, "tunable_model", None)
-    model = model if tunable is None else tunable()
-    if not isinstance(model, OdeModel):
-        raise TypeError(f"model: given {short_repr(model)}; accepted: an OdeModel or a Chain")
-    return Statics(model, dict(by_name("parameters", parameters)))
+    return Statics(model_of(model), dict(by_name("parameters", parameters)))
 
 
 def _check(tolerance: float, corrector: str) -> None:

@@ -229,6 +229,8 @@ class Chain(WithOwnParameters):
 
     def tunable_model(self) -> OdeModel:
         """The equations of motion in physical coordinates y with parameters alpha, gamma and g (paper, Eq. 1)."""
+        if self.infinite:
+            raise ValueError("sites: given an infinite chain; accepted: a whole number >= 1")
         y, v = (ca.vertcat(*(ca.SX.sym(f"{x}_{n}") for n in range(1, self.sites + 1))) for x in "yv")
         alpha, gamma, g = (ca.SX.sym(name) for name in self.parameters)
         weights = None

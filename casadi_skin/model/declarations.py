@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.arguments import number, numbers, short_repr, truth
+from casadi_skin.model.arguments import check_name, number, numbers, short_repr, truth
 from casadi_skin.model.equations import Array, Equations
-from casadi_skin.model.expressions import Expression, expression_of, symbols_of
+from casadi_skin.model.expressions import Expression, expression_of, names_of, symbols_of
 from casadi_skin.model.implicit import mass_matrix
 
 ACCEPTED_NAMES = "names in one line"
@@ -35,7 +35,7 @@ def declarations(model: Equations) -> dict[str, Any]:
             raise ValueError(f"order: given {short_repr(model.order)}; accepted: 1 or 2")
         truth("checked", model.checked)
         found = _symbols(model)
-        converters = _converters(found, found["state"].numel() * model.order)
+        converters = _converters(found, found["state"].numel() * model.order, model.parameter_labels)
         given = {label: getattr(model, label) for label in converters}
         return found | {
             label: converters[label](label, value)
@@ -65,8 +65,11 @@ def _symbols(model: Equations) -> dict[str, Expression]:
     return found
 
 
-def _converters(found: Mapping[str, Expression], size: int) -> dict[str, Callable[[str, Any], Any]]:
-    """What becomes of each field, from its name and what is given, in a model of these symbols and so many states."""
+def _converters(found: Mapping[str, Expression], size: int, labels: Any) -> dict[str, Callable[[str, Any], Any]]:
+    """What becomes of each field, from its name and what is given, in a model of these symbols and so many states.
+
+    `labels` are the names that its parameters are given.
+    """
     state = found["state"]
     symbols = [found.get("time", type(state).sym("t")), state, found["parameters"]]
 
@@ -91,6 +94,16 @@ def _converters(found: Mapping[str, Expression], size: int) -> dict[str, Callabl
         if number(label, given, ACCEPTED_PERIODS) <= 0:
             raise ValueError(f"{label}: given {given!r}; accepted: {ACCEPTED_PERIODS}")
         return given
+
+    def usual(label: str, given: Any) -> tuple[float, ...]:
+        if not isinstance(given, Mapping):
+            return numbers(label, given)
+        known = names_of(found["parameters"], None if labels is None else names("parameter_labels", labels))
+        for name in given:
+            check_name(label, name, known)
+        for name in set(known) - set(given):
+            raise ValueError(f"{label}: given none for {name}; accepted: a number for each parameter")
+        return tuple(number(f"{label}, {name}", given[name]) for name in known)
 
     def signs(label: str, given: Any) -> tuple[int, ...]:
         values = list(given) if np.iterable(given) and not isinstance(given, str | bytes) else [0]
@@ -117,7 +130,7 @@ def _converters(found: Mapping[str, Expression], size: int) -> dict[str, Callabl
     return {
         "mass": mass, "decay": rate,
         "rhs": expression, "normalisation": scalar, "hamiltonian": scalar, "outputs": group, "conserved": group,
-        "symmetries": group, "forcing_period": period, "output_scale": numbers, "nominal": numbers,
+        "symmetries": group, "forcing_period": period, "output_scale": numbers, "nominal": usual,
         "reversal": signs, "half_period": signs, "state_labels": names, "parameter_labels": names,
     }  # fmt: skip
 

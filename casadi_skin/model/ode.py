@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.declarations import check_declarations, check_symmetries, declarations
 from casadi_skin.model.equations import Equations
 from casadi_skin.model.expressions import Expression
@@ -38,8 +39,8 @@ class OdeModel(Equations, WithVerbs):
     `normalisation` is an expression that vanishes at phase zero of the wanted orbits of a family: it fixes their
     amplitude (and, where no reversal does, their phase: it is stationary there). `output_scale` are factors, one a
     component of `state`, for the values that users see: errors are measured there too. `nominal` are usual values
-    of the parameters; components are called as their symbols unless labels are given. Where `checked`, the declared
-    symmetries and the conserved quantity are evaluated at random points.
+    of the parameters, in their order or by name; components are called as their symbols unless labels are given. Where
+    `checked`, the declared symmetries and the conserved quantity are evaluated at random points.
 
     `mass` is M of a model of first order M x' = f(t, x, p): n x n numbers, or expressions in parameters, with a row
     for each entry of `rhs`. It may be singular; no equilibrium, orbit, eigenvalue or multiplier depends then on
@@ -260,3 +261,12 @@ def _displaced(force: ca.Function, rest: NDArray[np.float64], u: ca.SX) -> ca.SX
     terms = (w / 2 * along(ca.DM(rest) + (s + 1) / 2 * u, u) for s, w in zip(nodes, weights, strict=True))
     mean = sum(terms, ca.SX.zeros(u.numel()))
     return ca.SX(ca.if_else(ca.mmax(ca.fabs(u)) < SMALL_DISPLACEMENT, mean, there - force(ca.DM(rest))))
+
+
+def model_of(given: Any) -> OdeModel:
+    """The equations of a model with its parameters as symbols; raises TypeError for what is no model."""
+    tunable = None if isinstance(given, type) else getattr(given, "tunable_model", None)
+    model = given if tunable is None else tunable()
+    if not isinstance(model, OdeModel):
+        raise TypeError(f"model: given {short_repr(given)}; accepted: an OdeModel or a Chain")
+    return model

@@ -60,6 +60,7 @@ SMOOTH_RANGES = 50.0  # ranges that a state without jumps goes through in an int
 CLOSED_GUESS_RTOL = 1e-6  # relative to the ranges of the states: a function that closes to this is left alone
 CLOSER_RATIO = 0.1  # of how far it is from closing after the stated period, after its own
 NEAR_PERIOD_RATIO = 0.25  # of the stated period, where its own is sought
+RATE_STEP = 1e-5  # of the period: of differences that are velocities of a guess
 CLOSING_STEP = 1e-9  # last step, relative to the period
 ACCEPTED_GUESSES = (
     "numbers, one a state; a function of t; numbers or functions by state name; (t, x) with x of shape (times, "
@@ -166,7 +167,11 @@ def _is_sampled(guess: Guess) -> TypeGuard[tuple[ArrayLike, ArrayLike]]:
 def _values(names: Sequence[str], guess: Any, t: Array) -> Array:
     if not isinstance(guess, list | tuple | np.ndarray) and isinstance(guess, Evaluated):
         evaluated = partial(guess.evaluate, t)
-        return np.asarray(_called(evaluated, f"{short_repr(guess)} fails", ACCEPTED_GUESSES), dtype=float)
+        states = np.asarray(_called(evaluated, f"{short_repr(guess)} fails", ACCEPTED_GUESSES), dtype=float)
+        if getattr(getattr(guess, "space", None), "is_family", False):  # whose orbits are evaluated in positions alone
+            half = RATE_STEP * getattr(guess, "period", 1.0)
+            states = np.hstack([states, (guess.evaluate(t + half) - guess.evaluate(t - half)) / (2.0 * half)])
+        return states
     if isinstance(guess, Mapping):
         for name in guess:
             check_name("guess", name, names)

@@ -52,6 +52,7 @@ def circle(t: Any) -> list[Any]:
         {"rhs": lambda t, x, p: RHS},
         {"rhs": ca.Function("f", [T, ca.vertcat(X, Y), MU], [RHS])},
         {"nominal": np.array([0.5])},
+        {"nominal": {"mu": 0.5}},
     ],
 )
 def test_models_from_lists_arrays_and_functions(given: dict[str, Any]) -> None:
@@ -98,7 +99,9 @@ def test_mx_models_from_functions() -> None:
         ({"state": None}, "given: state: given None; accepted: a CasADi symbol"),
         ({"state": ca.SX.sym("x", 1, 2)}, "given: state: given shape (1, 2); accepted: a column"),
         ({"parameters": 3.0}, "given: parameters: given 3.0; accepted: a CasADi symbol"),
-        ({"nominal": {"mu": 1.0}}, "given: nominal: given {'mu': 1.0}; accepted: a list of finite numbers"),
+        ({"nominal": {"nu": 1.0}}, "given: nominal: given 'nu'; accepted: mu"),
+        ({"nominal": {"mu": "1"}}, "given: nominal, mu: given '1'; accepted: a finite number"),
+        ({"nominal": {}}, "given: nominal: given none for mu; accepted: a number for each parameter"),
         ({"nominal": "1"}, "given: nominal: given '1'; accepted: a list of finite numbers"),
         ({"reversal": "+-"}, "given: reversal needs 2 signs, each +1 or -1; given '+-'"),
         ({"hamiltonian": [X, Y]}, "given: hamiltonian: given shape (2, 1); accepted: a scalar expression"),
@@ -125,6 +128,11 @@ def test_models_that_cannot_be_meant_are_refused_in_one_line(changes: dict[str, 
 
 
 # Boundary-value problems and guesses ----------------------------------------------------------------------------------
+
+
+def test_nominal_values_by_name_are_those_of_labels_and_not_in_the_order_of_the_mapping() -> None:
+    model = OdeModel("two", X, -T * X + MU, [MU, T], parameter_labels=("in", "out"), nominal={"out": 2.0, "in": 1.0})
+    assert model.nominal == (1.0, 2.0)
 
 
 LINE = OdeModel("line", [X, Y], [Y, -MU * X], MU, nominal=(1.0,))

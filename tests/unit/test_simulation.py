@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.integrate
+from lattices import chain as chain_as_a_lattice
 
-from casadi_skin import OdeModel, find_orbit, simulate
+from casadi_skin import Bond, Chain, LongLattice, OdeModel, Site, find_equilibrium, find_orbit, follow_family, simulate
 from casadi_skin.model.integrators import IntegrationError
 
 X, Y, MU, T = (ca.SX.sym(name) for name in ("x", "y", "mu", "t"))
@@ -82,3 +83,29 @@ def test_a_state_that_runs_away_is_told() -> None:
 def test_what_cannot_be_meant_is_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         simulate(VAN_DER_POL, **({"start": [0.1, 0.0], "t": [0.0, 1.0]} | changes))
+
+
+@pytest.mark.parametrize("model_of", [Chain, chain_as_a_lattice])
+def test_orbits_and_simulations_of_a_chain_and_of_a_lattice_are_those_of_its_family(model_of: Any) -> None:
+    """Two ways to one orbit: odd cosines in the gauge, and collocation or CVODES in physical coordinates."""
+    of_family = follow_family(Chain(4, 1.0, 0.25, 1.0), mode=1, amplitude_max=0.3, at=[0.3]).at(S=0.3)
+    model, at_rest = model_of(4, 1.0, 0.25, 1.0), [*of_family.evaluate(0.0), *np.zeros(4)]
+    orbit = find_orbit(model, of_family, symmetric=True, select=lambda t, x, p: x[0] - at_rest[0])
+    assert orbit.Omega == pytest.approx(of_family.Omega, rel=1e-11)
+    t = np.linspace(0.0, of_family.period, 9)
+    assert orbit.evaluate(t)[:, :4] == pytest.approx(of_family.evaluate(t), abs=1e-10)
+    assert simulate(model, at_rest, t).states == pytest.approx(orbit.evaluate(t), abs=1e-6)
+
+
+def test_models_without_equations_are_refused_in_one_line() -> None:
+    endless = LongLattice(40, [Site("a", "y")], [Bond("a", "a", (1,))])
+    for model, words in (
+        (Chain(np.inf, 1.0, 0.25, 1.0), "sites: given an infinite chain; accepted: a whole number >= 1"),  # type: ignore[arg-type]
+        (endless, "[lattice]: given one with a linear tail"),
+    ):
+        for call in (
+            lambda m: simulate(m, [0.1], [0.0, 1.0]), lambda m: find_orbit(m, [0.1], 6.0),
+            lambda m: find_equilibrium(m, [0.1]),
+        ):  # fmt: skip
+            with pytest.raises(ValueError, match=re.escape(words)):
+                call(model)
