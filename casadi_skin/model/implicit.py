@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.equations import Array, Equations
 
 CANCELLED_RTOL = 1e-10  # of the terms of a sum: what is left of them is zero
-ROUNDED_RTOL = 1e-14  # of the largest derivative of a condition: one that is zero but for rounding
+ROUNDED_RTOL = 1e-13  # of the largest entry of a row, by usual sizes of columns: one that is zero but for rounding
 NEWTON_STEPS, CONSISTENT_RTOL = 30, 1e-12  # of a state that meets conditions, and its last step, of the state's size
 STILL_RTOL = 1e-6  # of the largest eigenvalue: one that is no rate
 
@@ -39,7 +39,8 @@ STILL_RTOL = 1e-6  # of the largest eigenvalue: one that is no rate
 class Rows:
     """Equations E x' = b, with the values of E at a place in general position; all others of its entries vanish.
 
-    An entry is `plain` that is a number, or an expression in parameters: it may be divided by.
+    An entry is `plain` that is a number, or an expression in parameters: it may be divided by. `columns` are usual
+    sizes of entries in each column, which the units of states decide.
     """
 
     model: Equations
@@ -49,15 +50,18 @@ class Rows:
     values: Array
     plain: NDArray[np.bool_]
     replaced: NDArray[np.bool_]
+    columns: Array
 
     @classmethod
     def of(cls, model: Equations, mass: ca.SX, right: ca.SX) -> Rows:
         """M x' = f."""
-        n = mass.shape[0]
-        flags = np.zeros((n, n), dtype=bool)
-        rows = cls(
-            model, _place(model, right), [{} for _ in range(n)], right.elements(), np.zeros((n, n)), flags, flags[0]
-        )
+        n, place = mass.shape[0], _place(model, right)
+        both = model.function("both", *map(ca.densify, (mass, ca.jacobian(right, model.state)))).call(list(place))
+        known = np.abs(np.vstack([np.array(part) for part in both]))
+        columns = np.max(known / np.maximum(np.max(known, axis=1, keepdims=True), 1e-300), axis=0)
+        values, plain, replaced = np.zeros((n, n)), np.zeros((n, n), dtype=bool), np.zeros(n, dtype=bool)
+        columns = np.where(columns > 0.0, columns, 1.0)
+        rows = cls(model, place, [{} for _ in range(n)], right.elements(), values, plain, replaced, columns)
         for i in range(n):
             rows.put(i, mass[i, :], rows.right[i])
         return rows
@@ -65,7 +69,8 @@ class Rows:
     def put(self, i: int, slope: ca.SX, right: ca.SX) -> None:
         """Write the row of an equation."""
         values = np.array(ca.densify(self.model.function("row", slope)(*self.place))).ravel()
-        self.values[i] = np.where(np.abs(values) > ROUNDED_RTOL * np.max(np.abs(values)), values, 0.0)
+        sizes = np.abs(values) / self.columns
+        self.values[i] = np.where(sizes > ROUNDED_RTOL * np.max(sizes), values, 0.0)
         self.entries[i] = {j: slope[j] for j in np.flatnonzero(self.values[i]).tolist()}
         moving = ca.vertcat(self.model.state, *([] if self.model.time is None else [self.model.time]))
         self.plain[i] = [j not in self.entries[i] or not ca.depends_on(slope[j], moving) for j in range(values.size)]
@@ -77,10 +82,10 @@ class Rows:
         A row is multiplied by a pivot that moves, as it may vanish elsewhere. Values alone, unless it is `written`.
         """
         copies = [dict(row) for row in self.entries], [*self.right], self.values.copy(), self.plain.copy()
-        found = Rows(self.model, self.place, *copies, self.replaced)
+        found = Rows(self.model, self.place, *copies, self.replaced, self.columns)
         sizes, pivots, left = np.abs(self.values), list[tuple[int, int]](), list(range(len(self.right)))
         while True:
-            values = np.abs(found.values[left])
+            values = np.abs(found.values[left]) / self.columns
             shares = values / np.maximum(np.max(values, axis=1, keepdims=True, initial=0.0), 1e-300)
             shares += np.where(found.plain[left], 4.0, 0.0) + np.where(self.replaced[left], 0.0, 2.0)[:, None]
             shares[(values == 0.0) | (plain & ~found.plain[left])] = 0.0

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.special import ellipk
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit, read_model, save_model, simulate
@@ -138,6 +139,43 @@ def test_units_of_time_and_voltage() -> None:
     orbit = find_orbit(model, guess, 1e-9 * CYCLE_PERIOD)
     assert 1e9 * orbit.period == pytest.approx(CYCLE_PERIOD, rel=1e-11)
     assert orbit.floquet().multipliers.size == 2
+
+
+def test_circuit_in_SI_units() -> None:
+    """Colpitts' oscillator of Kennedy (1994) in volts, amperes and seconds: a Hopf point at I = R VT (C1 + C2)/L."""
+    supply, top, collector, emitter, coil, battery, bias = symbols("supply top collector emitter coil battery bias")
+    R, C, L, thermal, saturation = 35.0, 54e-9, 98.5e-6, 0.026, 1e-14
+    through, resistor = saturation * ca.exp(-emitter / thermal), (supply - top) / R
+    rhs = [battery + resistor, resistor - coil, coil - through, through - bias, top - collector, supply - 5.0]
+    mass = np.zeros((6, 6))
+    mass[2:4, 2:4], mass[4, 4] = [[C, -C], [-C, 2 * C]], L
+    model = OdeModel("SI", [supply, top, collector, emitter, coil, battery], rhs, bias, mass=mass, nominal=[8e-4])
+    start = find_equilibrium(model, [5.0, 5.0, 5.0, -0.65, 1e-3, -1e-3])
+    (hopf,) = start.follow("bias", 1.5e-3).special_points
+    expected = R * thermal * 2 * C / L
+    assert hopf.parameters["bias"] == pytest.approx(expected, rel=1e-12)
+    assert hopf.frequency == pytest.approx(np.sqrt(2.0 / (L * C)), rel=1e-9)
+    cycle = hopf.follow("bias", 2.5 * expected, stability=True)
+    assert [point.kind for point in cycle.special_points] == ["period doubling"]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_linear_equations_of_any_index_in_any_units(seed: int) -> None:
+    """P diag(1, N) Q x' = P diag(J, 1) Q (x - x0) with nilpotent N (Weierstrass): the eigenvalues are those of J."""
+    generator = np.random.default_rng(seed)
+    free, blocks = int(generator.integers(1, 5)), generator.integers(1, 4, size=int(generator.integers(1, 4)))
+    nilpotent = block_diag(*(np.eye(size, k=1) for size in blocks))
+    J, n = generator.normal(size=(free, free)), free + len(nilpotent)
+    P, Q = generator.normal(size=(2, n, n))
+    units = 10.0 ** generator.integers(-6, 7, size=n)
+    x = ca.SX.sym("x", n)
+    rhs = ca.DM(P @ block_diag(J, np.eye(len(nilpotent))) @ Q / units) @ (x - ca.DM(units))
+    model = OdeModel("linear", x, rhs, mass=P @ block_diag(np.eye(free), nilpotent) @ Q / units)
+    assert model.implicit is not None
+    assert len(model.implicit.conditions) == n - free
+    found = find_equilibrium(model, 1.1 * units)
+    assert found.state == pytest.approx(units, rel=1e-9)
+    assert np.sort_complex(found.eigenvalues) == pytest.approx(np.sort_complex(np.linalg.eigvals(J)), abs=1e-7)
 
 
 def test_colpitts_oscillator_against_its_ode() -> None:
