@@ -1,8 +1,10 @@
-"""Renders the conda recipe for every platform beside pyproject.toml; "lowest" prints the lowest versions of that."""
+"""Renders the conda recipe for every platform and compares it with pyproject.toml."""
 
 import sys
 import tomllib
 from pathlib import Path
+
+from rattler_build import JinjaConfig, PlatformConfig, RenderConfig, Stage0Recipe, VariantConfig
 
 RENAMED = {"matplotlib": "matplotlib-base"}  # on conda-forge
 PLATFORMS = {
@@ -14,14 +16,9 @@ PLATFORMS = {
 }
 
 
-def main(root: Path, *words: str) -> None:
+def main(root: Path) -> None:
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     pairs = [requirement.split(">=") for requirement in project["dependencies"]]
-    if words:
-        print("\n".join(f"{name}=={version}" for name, version in pairs))
-        return
-    from rattler_build import JinjaConfig, PlatformConfig, RenderConfig, Stage0Recipe, VariantConfig
-
     wanted = {f"{RENAMED.get(name, name)} >={version}" for name, version in pairs}
     wanted.add(f"python {project['requires-python']}")
     recipe = Stage0Recipe.from_yaml((root / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
@@ -42,4 +39,4 @@ def main(root: Path, *words: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:])
+    main(Path(sys.argv[1]))
