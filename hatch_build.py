@@ -47,7 +47,8 @@ def compile_kernels(target: Path) -> None:
     # Beside the target, which is replaced in one step: no process sees half of a library.
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         objects = []
-        if _run([*compiler, "-dumpmachine"], folder).startswith(("x86_64", "amd64")):  # that it compiles for
+        macros = _run([*compiler, *flags, "-dM", "-E", sources[0]], folder)
+        if "__x86_64__" in macros:  # of the processor that it compiles for, which may be another one
             for instructions in ("avx2", "avx512f"):
                 Path(folder, instructions).mkdir()
                 _run([*compiler, *flags, f"-m{instructions}", "-c", *sources], f"{folder}/{instructions}")
