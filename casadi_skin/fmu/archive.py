@@ -13,10 +13,9 @@ import uuid
 import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from html import escape
 from importlib import resources
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -221,17 +220,7 @@ def build_description(identifier: str, files: Iterable[str]) -> bytes:
     return _text(root)
 
 
-def terminals_and_icons() -> bytes:
-    """terminalsAndIcons/terminalsAndIcons.xml of FMI 3.0: where the icon is drawn."""
-    root = ET.Element("fmiTerminalsAndIcons", {"fmiVersion": "3.0"})
-    picture = ET.SubElement(root, "GraphicalRepresentation")
-    extent = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
-    ET.SubElement(picture, "CoordinateSystem", extent | {"suggestedScalingFactorTo_mm": "0.1"})
-    ET.SubElement(picture, "Icon", extent)
-    return _text(root)
-
-
-# The documentation page and the icon inside an FMU --------------------------------------------------------------------
+# The documentation page inside an FMU ---------------------------------------------------------------------------------
 
 
 def page(description: Description, fmi: str) -> str:
@@ -251,24 +240,6 @@ def _row(variable: Variable) -> str:
     start = "" if variable.start is None else f"{variable.start:.6g}"
     cells = (variable.name, variable.causality, start, variable.description)
     return "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>\n"
-
-
-@cache
-def icon() -> bytes:
-    """A PNG of 128 by 128: a mode that leans to one edge of its chain."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(1.28, 1.28), dpi=100)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    sites = np.arange(1, 10)
-    heights = 0.75 * np.exp(0.45 * (sites - 9)) * (-1.0) ** (sites - 9)
-    axes.vlines(sites, 0.0, heights, color="#1f4e79", linewidth=2.0)
-    axes.plot(sites, heights, "o", color="#1f4e79", markersize=5.0)
-    axes.axhline(0.0, color="0.4", linewidth=1.0)
-    axes.set(xlim=(0.0, 10.0), ylim=(-1.0, 1.0), xticks=[], yticks=[])
-    image = BytesIO()
-    figure.savefig(image, format="png", dpi=100, metadata={"Software": None})
-    return image.getvalue()
 
 
 # An FMU as a file: modelDescription.xml, sources, binary, documentation and icon in one archive -----------------------
@@ -357,10 +328,10 @@ def contents(problem: InitialValueProblem, fmi: Fmi) -> dict[str, bytes]:
     files |= {f"sources/{name}": _packaged(name) for name in (*INTERFACE_SOURCES[fmi], *HEADER_FILES)}
     if fmi == "3.0":
         files["sources/buildDescription.xml"] = build_description(problem.identifier, description.source_files(fmi))
-        files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons()
-        files["terminalsAndIcons/icon.png"] = icon()
+        files["terminalsAndIcons/terminalsAndIcons.xml"] = _packaged("terminalsAndIcons.xml")
+        files["terminalsAndIcons/icon.png"] = _packaged("icon.png")
     else:
-        files["model.png"] = icon()
+        files["model.png"] = _packaged("icon.png")
     return files
 
 
