@@ -176,7 +176,8 @@ def _library(path: Path, description: Any, names: tuple[str, ...]) -> str:
     name = library_name(description.fmiVersion, description.modelExchange.modelIdentifier)
     if name not in names:
         there = {PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/")}
-        found = f"binaries for {', '.join(sorted(there))}" if there else "sources alone"
+        sources = "sources alone" if any(n.startswith("sources/") for n in names) else "neither binaries nor sources"
+        found = f"binaries for {', '.join(sorted(there))}" if there else sources
         raise ValueError(f"{path}: no binary for {PurePosixPath(name).parts[1]}; it has {found}")
     return name
 
@@ -227,7 +228,7 @@ class Group:
     `starts` are the start values of all entries of these variables.
     """
 
-    references: tuple[int, ...]
+    references: NDArray[np.uint32]
     places: NDArray[np.int64]
     starts: Array
 
@@ -240,17 +241,16 @@ class Group:
         first = dict(zip(whole, itertools.accumulate([0, *map(len, whole.values())]), strict=False))
         places = [first[int(e.variable.valueReference)] + e.place for e in given]
         starts = [element.start for entries in whole.values() for element in entries]
-        return cls(tuple(whole), np.array(places, dtype=np.int64), np.array(starts, dtype=float))
+        return cls(np.array(list(whole), np.uint32), np.array(places, np.int64), np.array(starts, float))
 
-    @cached_property
+    @property
     def named(self) -> tuple[Any, int]:
-        """The references as an array of C, and their number."""
-        count = len(self.references)
-        return (ctypes.c_uint32 * count)(*self.references), count
+        """The references as C takes them, and their number."""
+        return self.references.ctypes.data_as(ctypes.POINTER(ctypes.c_uint32)), self.references.size
 
-    def spread(self, numbers: Array) -> Array:
-        """Rows of numbers as rows of all entries of the variables, with 0 for all others."""
-        entries = np.zeros((len(numbers), self.starts.size))
+    def spread(self, numbers: Array, others: Array | float = 0.0) -> Array:
+        """Rows of numbers as rows of all entries of the variables, with others where there is none."""
+        entries = np.zeros((len(numbers), self.starts.size)) + others
         entries[:, self.places] = numbers
         return entries
 

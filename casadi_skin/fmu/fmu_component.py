@@ -1,29 +1,37 @@
 """One running instance of an FMU for Model Exchange: the C interfaces of FMI 2.0 and 3.0 behind one set of names.
 
-All calls go through fmpy, which has loaded and typed the binary's functions, and raises its `FMICallException`, with
-the status, where one fails.
+fmpy has loaded and typed the binary's functions, and raises its `FMICallException`, with the status, where one fails.
+Numbers at several points are those of one call of the kernel in native/fmus.c, or of fmpy's functions row by row.
 """
 
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_skin.fmu.description import Array, Element, Group, Unpacked, fmpy_package
+from casadi_skin.native import Structure, kernels
 
 MOST_EVENT_ITERATIONS = 100
 MOST_COMPLAINTS = 20
 DISCARD_STATUS = 2  # the status of values that cannot be computed
-COMPONENT_FUNCTIONS = (
-    "Reset", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "Get", "Set",
-    "GetDirectionalDerivative",
+COMPONENT_FUNCTIONS = (  # the first ones in the order of native/fmus.c
+    "SetTime", "SetContinuousStates", "Set", "GetDerivatives", "Get", "GetDirectionalDerivative", "GetContinuousStates",
+    "Reset",
 )  # fmt: skip
+COMPONENT, GROUP = "iiiiiiiii", "iia"
+POINTS = "aaa" + 3 * GROUP + "aa" + "iaa" + "a"
+Places = NDArray[np.int64]
+NONE = Group.of(())
 _Doubles = ctypes.POINTER(ctypes.c_double)
 
 
@@ -57,19 +65,17 @@ def instantiated(unpacked: Unpacked, complaints: deque[str]) -> Any:
 
 
 class Component:
-    """An instance of a binary with the values of the parameters `held`, at a time, a state and inputs `moved`.
+    """An instance of a binary with the values of the parameters `held`, at a time, a state and inputs.
 
     Methods raise fmpy's error where the binary does not answer; then `restart` is called before anything else.
     """
 
     def __init__(
-        self, unpacked: Unpacked, complaints: deque[str], states: int, held: tuple[Element, ...],
-        moved: tuple[Element, ...],
+        self, unpacked: Unpacked, complaints: deque[str], states: int, held: tuple[Element, ...]
     ) -> None:  # fmt: skip
         self._unpacked, self._complaints = unpacked, complaints
         self._two = str(unpacked.description.fmiVersion).startswith("2")
-        self._held, self._moved = Group.of(held), Group.of(moved)
-        self._numbers = {group: Buffer(group.starts[None]) for group in (self._held, self._moved)}
+        self._held = Group.of(held)
         self._tunable = all(element.tunable for element in held)
         self._n = states
         self._instantiate()
@@ -79,9 +85,10 @@ class Component:
         fmu = self._fmu = instantiated(self._unpacked, self._complaints)
         prefix, real, rates = ("fmi2", "Real", "") if self._two else ("fmi3", "Float64", "ContinuousState")
         renamed = {"Get": f"Get{real}", "Set": f"Set{real}", "GetDerivatives": f"Get{rates}Derivatives"}
-        self._fmi = {
-            name: partial(getattr(fmu, prefix + renamed.get(name, name)), fmu.component) for name in COMPONENT_FUNCTIONS
-        }
+        self._names = {name: prefix + renamed.get(name, name) for name in COMPONENT_FUNCTIONS}
+        self._fmi = {name: partial(getattr(fmu, full), fmu.component) for name, full in self._names.items()}
+        places = [_place(getattr(fmu.dll, full, None)) for full in self._names.values()]
+        self._compiled = Structure(COMPONENT, 2 if self._two else 3, self._n, fmu.component, *places[:6])
         self._fresh = True  # instantiated, and nothing else
 
     def free(self) -> None:
@@ -101,7 +108,7 @@ class Component:
         self._fresh = False
         if self._two:
             self._fmu.setupExperiment(startTime=0.0)
-        self._give(self._held, held)
+        self._give(self._held, self._held.spread(held[None], self._held.starts)[0])
         self._fmu.enterInitializationMode(**({} if self._two else {"startTime": 0.0}))
         self._fmu.exitInitializationMode()
         self._events()
@@ -113,7 +120,7 @@ class Component:
             self.restart(held)
             return
         self._fmu.enterEventMode()
-        self._give(self._held, held)
+        self._give(self._held, self._held.spread(held[None], self._held.starts)[0])
         self._events()
         self._fmu.enterContinuousTimeMode()
 
@@ -128,52 +135,83 @@ class Component:
                 return
         raise ValueError("its events do not end")
 
-    # Values, in rows of buffers --------------------------------------------------------------------------------------
+    # Values -----------------------------------------------------------------------------------------------------------
 
-    def place(self, t: float, x: Any, inputs: Array | None) -> None:
-        """Go to a time, a state and inputs."""
-        self._fmi["SetTime"](t)
-        self._fmi["SetContinuousStates"](x, self._n)
-        if inputs is not None:
-            self._give(self._moved, inputs)
+    def compute(self, at: Points, first: int, last: int) -> None:
+        """The results of rows `first` to before `last`; raises fmpy's error at row `at.failed[0]`."""
+        if not kernels():
+            self._computed_by_fmpy(at, first, last)
+        elif kernels()["fmu_at"](self._compiled, at.compiled, first, last):
+            _, function, status = at.failed.tolist()
+            raise call_error()(self._names[COMPONENT_FUNCTIONS[function]], status)
 
-    def rates(self, result: Any) -> None:
-        """The derivatives of the states."""
-        self._fmi["GetDerivatives"](result, self._n)
+    def _computed_by_fmpy(self, at: Points, first: int, last: int) -> None:
+        for row in range(first, last):
+            at.failed[0], place, result = row, 0 if at.seeded else row, at.result[row]
+            if row == first or not at.seeded:
+                self._fmi["SetTime"](at.t[place])
+                self._fmi["SetContinuousStates"](_pointer(at.x[place]), self._n)
+                self._give(at.moved, at.inputs[place])
+            if at.wanted is None:
+                self._fmi["GetDerivatives"](_pointer(result), self._n)
+            elif at.seeded:
+                counted = (*self._counted(at.seeds[row]), *self._counted(result))
+                self._fmi["GetDirectionalDerivative"](*at.wanted.named, *at.known.named, *counted)
+            else:
+                self._fmi["Get"](*at.wanted.named, *self._counted(result))
+        at.numbers[:] = at.result.ravel()[at.pick]
 
     def states(self) -> Array:
         """The state that it has."""
-        found = Buffer(np.zeros((1, self._n)))
-        self._fmi["GetContinuousStates"](found.rows[0], self._n)
-        return np.array(found.array[0])
+        found = np.zeros(self._n)
+        self._fmi["GetContinuousStates"](_pointer(found), self._n)
+        return found
 
-    def values(self, wanted: Group, result: Any) -> None:
-        """Values of some variables, of all their entries."""
-        self._fmi["Get"](*wanted.named, result, *self._counts(wanted))
+    def _give(self, to: Group, numbers: Array) -> None:
+        if to.references.size:
+            self._fmi["Set"](*to.named, *self._counted(numbers))
 
-    def directional(self, unknowns: Group, knowns: Group, seed: Any, result: Any) -> None:
-        """Derivatives of all entries of `unknowns` along one seed, a number for each entry of `knowns`."""
-        numbers = (seed, *self._counts(knowns), result, *self._counts(unknowns))
-        self._fmi["GetDirectionalDerivative"](*unknowns.named, *knowns.named, *numbers)
-
-    def _give(self, to: Group, given: Array) -> None:
-        """Set numbers; entries of the same arrays that are not given keep their start values."""
-        if to.references:
-            numbers = self._numbers[to]
-            numbers.array[0, to.places] = given
-            self._fmi["Set"](*to.named, numbers.rows[0], *self._counts(to))
-
-    def _counts(self, group: Group) -> tuple[int, ...]:
-        """The number of entries, which FMI 3.0 asks for beside that of the variables."""
-        return () if self._two else (group.starts.size,)
+    def _counted(self, numbers: Array) -> tuple[Any, ...]:
+        """Numbers for C, with how many there are, which FMI 3.0 asks for beside the number of variables."""
+        return (_pointer(numbers),) if self._two else (_pointer(numbers), numbers.size)
 
 
-class Buffer:
-    """Rows of doubles that C and numpy share, with a pointer to each row."""
+class Points:
+    """Rows of doubles that a binary shares: times, states and inputs `moved` of points, and the `result` at each.
 
-    def __init__(self, values: Array) -> None:
-        self.array = np.array(values)
-        self.rows = [row.ctypes.data_as(_Doubles) for row in self.array]
+    Results are values of the variables `wanted`, or the derivatives of the states where that is None; with `seeds`,
+    numbers for each entry of the variables `known`, derivatives along each seed at one point. Of one point, with
+    parameters and inputs `p`, `given` are its bytes, and `parts` those of numbers at places in its results.
+    """
+
+    def __init__(
+        self, sizes: tuple[int, int, int], moved: Group, wanted: Group | None, known: Group, seeds: Array | None,
+        parts: Sequence[Places],
+    ) -> None:  # fmt: skip
+        rows, states, parameters = sizes
+        self.wanted, self.known, self.moved, self.seeded = wanted, known, moved, seeds is not None
+        self.keys: tuple[bytes, list[bytes]] | None = None  # of the parameters of the rows
+        self.places = slice(None) if wanted is None else wanted.places
+        self.t, self.x, self.p = np.zeros(rows), np.zeros((rows, states)), np.zeros((rows, parameters))
+        self.inputs, self.seeds = np.tile(moved.starts, (rows, 1)), np.zeros((0, 0)) if seeds is None else seeds
+        self.result = np.zeros((len(self.seeds) or rows, states if wanted is None else wanted.starts.size))
+        self.pick = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        self.numbers, self.failed = np.zeros(self.pick.size), np.zeros(3, dtype=np.int64)
+        self.given = [array.ravel().view(np.uint8).data for array in (self.t, self.x, self.p)]
+        ends = itertools.accumulate([0, *(places.size for places in parts)])
+        self.parts = [self.numbers[i:j].view(np.uint8).data for i, j in itertools.pairwise(ends)]
+        groups = [(g.references.size, g.starts.size, g.references) for g in (moved, wanted or NONE, known)]
+        results = self.result, self.pick.size, self.pick, self.numbers, self.failed
+        self.compiled = Structure(POINTS, self.t, self.x, self.inputs, *itertools.chain(*groups), seeds, *results)
+
+
+def _pointer(numbers: Array) -> Any:
+    return numbers.ctypes.data_as(_Doubles)
+
+
+def _place(function: Any) -> int:
+    """Where a function of the binary is; 0 where it has none."""
+    return 0 if function is None else ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
 def refused(path: Path, what: str, error: Exception | None, complaints: deque[str]) -> ValueError:

@@ -14,10 +14,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from casadi_skin.fmu.description import Array, Element, Group, Pattern
-from casadi_skin.fmu.fmu_component import Buffer
-from casadi_skin.fmu.instance import FmuInstance
+from casadi_skin.fmu.fmu_component import Points
+from casadi_skin.fmu.instance import Bytes, FmuInstance
 
 Indices = NDArray[np.int64]
 Point = tuple[float, Array, Array]
@@ -64,10 +65,6 @@ class Columns:
     def owners(self) -> Indices:
         """The group of each non-zero."""
         return self.group[self.columns]
-
-    def nonzeros(self, sums: Array) -> Array:
-        """Entries of the pattern by columns from the sums of each group's columns, shape (groups, rows)."""
-        return np.asarray(sums[self.owners, self.rows])
 
     def dense(self, nonzeros: Array) -> Array:
         """The matrix with these entries."""
@@ -129,14 +126,10 @@ class Derivatives:
         self._given_scale = np.where(self.instance.start_given != 0.0, np.abs(self.instance.start_given), 1.0)
         self._declared = variables.declared(elements)
         self._wanted = None if self.unknowns is None else Group.of(elements)
-        self._rates, self._states = Group.of(elements), Group.of(variables.states)
-        self._known = Group.of((*variables.states, *given))
-        self._given_seeds = Buffer(
-            self._known.spread(np.eye(len(given), len(given) + self.scale.size, self.scale.size))
-        )
+        self._rates = Group.of(elements)
         self._everything = Columns.of(np.ones((self.size, len(given)), dtype=bool))
         self._along_time = Columns.of(np.ones((self.size, 1), dtype=bool))
-        self._seeds: dict[Columns, Buffer] = {}
+        self._seeds: dict[tuple[Columns, bool], Points] = {}
         self._shifted: tuple[bytes | None, Array, Array] = (None, np.empty(0), np.empty(0))
         self._by_states, self.by_states = self._chosen()
         self.by_parameters = self._chosen_for_parameters() if given else "directional"
@@ -150,10 +143,6 @@ class Derivatives:
     def pattern(self) -> Pattern:
         """Which entries of the Jacobian by the states may be non-zero."""
         return self._by_states.pattern
-
-    def value(self, t: float, x: Array, p: Array) -> Array:
-        """The numbers at a point."""
-        return np.asarray(self.instance.at(self._wanted, (t,), x[None], p[None])[0])
 
     def _at(self, t: Sequence[float], x: Array, p: Array) -> Array:
         """The numbers at several times and states, or at one state, with the same parameters."""
@@ -178,9 +167,7 @@ class Derivatives:
             points, steps = self.difference.moved(x, self.scale, columns)
             values, self._seen = self._at((t,) * len(points), points, p), np.maximum(self._seen, np.abs(x))
             return self.difference.quotients(values, steps, columns, self.sizes, self._seen)
-        if columns not in self._seeds:
-            self._seeds[columns] = Buffer(self._states.spread(columns.seeds))
-        return columns.nonzeros(self.instance.directional(self._rates, self._states, self._seeds[columns], t, x, p))
+        return self._directional(columns, False, t, x, p)[0]
 
     def _parameters_jacobian(self, how: str, t: float, x: Array, p: Array) -> Array:
         if how == "differences":
@@ -190,7 +177,34 @@ class Derivatives:
             _, points, steps = self._shifted
             values = self.instance.at(self._wanted, (t,) * len(points), x[None], points)
             return self.difference.quotients(values, steps, self._everything, self.sizes, self._given_scale)
-        return self.instance.directional(self._rates, self._known, self._given_seeds, t, x, p).ravel()
+        return self._directional(self._by_states, True, t, x, p)[1]
+
+    def _directional(self, columns: Columns, by_given: bool, t: float, x: Array, p: Array) -> list[Array]:
+        """Non-zeros by columns of d value/d x, and entries of d value/d p where they are wanted too."""
+        at = self._along_columns(columns, by_given)
+        found = [bytearray(part.nbytes) for part in at.parts]
+        self.instance.answer(at, [bytearray(np.array(given).tobytes()) for given in (t, x, p)], found)
+        return [np.frombuffer(part) for part in found]
+
+    def _along_columns(self, columns: Columns, by_given: bool) -> Points:
+        """A point for the FMU's derivatives along these columns, and along parameters and inputs, in one call."""
+        if (columns, by_given) not in self._seeds:
+            given, states = self.instance.given if by_given else (), self.instance.variables.states
+            groups, places, row = len(columns.seeds), self._rates.places, self._rates.starts.size
+            by_states = places[columns.rows] + row * columns.owners
+            by_parameters = (places + row * np.arange(groups, groups + len(given))[:, None]).ravel()
+            seeds, known = block_diag(columns.seeds, np.eye(len(given))), Group.of((*states, *given))
+            found = self.instance.points(1, self._rates, known, seeds, (by_states, by_parameters))
+            self._seeds[columns, by_given] = found
+        return self._seeds[columns, by_given]
+
+    def at_once(self, of_jacobian: bool) -> Points | None:
+        """A point for the numbers, or for their Jacobians where all of these are the FMU's own."""
+        if not of_jacobian:
+            places = np.arange(self.size) if self._wanted is None else self._wanted.places
+            return self.instance.points(1, self._wanted, parts=(places,))
+        own = self.by_states == self.by_parameters == "directional"
+        return self._along_columns(self._by_states, bool(self.instance.given)) if own else None
 
     # Checks -----------------------------------------------------------------------------------------------------------
 
@@ -200,7 +214,7 @@ class Derivatives:
         p = self.instance.start_given
         for size in (TRIAL_DISTANCE, TRIAL_DISTANCE, 0.0):
             x = start + size * self.scale * generator.uniform(0.5, 1.0, start.size)
-            if np.all(np.isfinite(self.value(0.0, x, p))):
+            if np.all(np.isfinite(self._at((0.0,), x[None], p))):
                 yield 0.0, x, p
 
     def _chosen(self) -> tuple[Columns, str]:
@@ -247,8 +261,6 @@ def _agree(given: Array, known: Array, sizes: Array) -> bool:
 
 # An FMU's right-hand side or outputs as a function of CasADi with its Jacobian ----------------------------------------
 
-View = memoryview | None  # CasADi gives None for an argument that is zero and for a result that nobody wants
-
 
 class FmuFunction(ca.Callback):  # type: ignore[misc]
     """(t, x, p) -> derivatives or outputs of an FMU; their Jacobian is another, (t, x, p, result) -> by t, x and p."""
@@ -268,7 +280,8 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
             self._results = by_time, by_states, dense(rows, sizes[2])
             self._values = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
         else:
-            self._results, self._values = (dense(rows, 1),), (derivatives.value,)
+            self._results, self._values = (dense(rows, 1),), ()
+        self._one = derivatives.at_once(of_jacobian)
         # Second derivatives are differences: only iterations use them, as the Newton matrix of CVODES' sensitivities.
         self.construct(name, {"enable_fd": of_jacobian})
 
@@ -287,11 +300,15 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
     def has_eval_buffer(self) -> bool:
         return True
 
-    def eval_buffer(self, arguments: Sequence[View], results: Sequence[View]) -> int:
-        t, x, p = (np.frombuffer(a) if a else zeros for a, zeros in zip(arguments, self._zeros, strict=False))
-        for result, value in zip(results, self._values, strict=True):
-            if result:
-                np.frombuffer(result)[:] = value(float(t[0]), x, p)
+    def eval_buffer(self, arguments: Sequence[Bytes], results: Sequence[Bytes]) -> int:
+        if self._one is not None:
+            self.derivatives.instance.answer(self._one, arguments, results[-len(self._one.parts) :])
+            results = results[: -len(self._one.parts)]
+        if any(results):
+            t, x, p = (np.frombuffer(a) if a else zeros for a, zeros in zip(arguments, self._zeros, strict=False))
+            for result, value in zip(results, self._values, strict=False):
+                if result:
+                    np.frombuffer(result)[:] = value(float(t[0]), x, p)
         return 0
 
     def has_jacobian(self) -> bool:

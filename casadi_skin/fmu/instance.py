@@ -19,8 +19,10 @@ from casadi_skin.fmu.description import Array, Group, Unpacked, Variables, neare
 from casadi_skin.fmu.fmu_component import (
     DISCARD_STATUS,
     MOST_COMPLAINTS,
-    Buffer,
+    NONE,
     Component,
+    Places,
+    Points,
     call_error,
     refused,
 )
@@ -31,6 +33,7 @@ from casadi_skin.model.ode import OdeModel
 
 SHIFTED_SETS = 6  # sets of values that differences with three steps take for each parameter
 MOST_COMPONENTS = 64
+Bytes = bytearray | memoryview | None  # CasADi gives None for zeros, and for a result that nobody wants
 
 
 class FmuInstance:
@@ -54,8 +57,8 @@ class FmuInstance:
         self._most = 1 if once else min(MOST_COMPONENTS, SHIFTED_SETS * self._held.size + 2)
         self._components: dict[bytes, Component] = {}  # by their parameters
         self._finalizer = weakref.finalize(self, _close, self._components, unpacked.remove)
-        self._buffers: dict[tuple[str, int, int], Buffer] = {}
-        self._packed: tuple[tuple[int, bytes], list[bytes]] = ((0, b""), [])  # rows of parameters, and their key
+        self._inputs = Group.of(self.given[k] for k in self._moved)
+        self._points: dict[tuple[Group | None, int], Points] = {}
         self.start_given = np.array([element.start for element in self.given])
         component = self._instantiated()
         held = self.start_given[self._held]
@@ -78,70 +81,67 @@ class FmuInstance:
         There is a row for each point in `p`, and in `x` too unless it is the same for all.
         """
         with self._lock:
-            rows = len(p)
-            points = self._buffer("points", len(x), x.shape[1])
-            columns = x.shape[1] if wanted is None else wanted.starts.size
-            result = self._buffer("result", rows, columns)
-            points.array[:] = x
-            keys, inputs = self._keys(p), p[:, self._moved] if self._moved.size else None
-            for k in range(rows):
-                component = self._components.get(keys[k]) or self._at(keys[k], p[k])
-                if component is None:
-                    result.array[k] = np.nan
-                    continue
-                try:
-                    component.place(t[k], points.rows[k % len(x)], None if inputs is None else inputs[k])
-                    if wanted is None:
-                        component.rates(result.rows[k])
-                    else:
-                        component.values(wanted, result.rows[k])
-                except self._failure as error:
-                    result.array[k] = np.nan
-                    self._failed(component, error)
-            return result.array.copy() if wanted is None else result.array[:, wanted.places]
+            key = wanted, len(p)
+            points = self._points.get(key) or self._points.setdefault(key, self.points(len(p), wanted))
+            points.t[:], points.x[:], points.p[:] = t, x, p
+            self._compute(points)
+            return np.array(points.result[:, points.places])
 
-    def directional(self, unknowns: Group, knowns: Group, seeds: Buffer, t: float, x: Array, p: Array) -> Array:
-        """Directional derivatives of unknowns along the rows of `seeds`, shape (seeds, unknowns); NaN where none.
+    def points(
+        self, rows: int, wanted: Group | None, known: Group = NONE, seeds: Array | None = None,
+        parts: Sequence[Places] = (),
+    ) -> Points:  # fmt: skip
+        """Points for numbers of `wanted`, or their directional derivatives along the rows of `seeds`.
 
         A seed has a number for each entry of the knowns' variables: all are given in each call, most with seed 0, as
         some FMUs go on with seeds of the call before.
         """
+        sizes = rows, len(self.variables.states), len(self.given)
+        return Points(sizes, self._inputs, wanted, known, None if seeds is None else known.spread(seeds), parts)
+
+    def answer(self, at: Points, given: Sequence[Bytes], results: Sequence[Bytes]) -> None:
+        """Parts of the numbers at one point from views of its time, state and parameters; NaN where one is not had."""
         with self._lock:
-            count = len(seeds.rows)
-            point, result = self._buffer("points", 1, x.size), self._buffer("result", count, unknowns.starts.size)
-            point.array[:] = x
-            key = self._keys(p[None])[0]
-            component = self._components.get(key) or self._at(key, p)
+            for own, view in zip(at.given, given, strict=False):
+                own[:] = view or bytes(own.nbytes)
+            self._compute(at)
+            for part, result in zip(at.parts, results, strict=True):
+                if result:
+                    result[:] = part
+
+    def _compute(self, points: Points) -> None:
+        """Results of all rows: those of the same parameters in one call."""
+        p = points.p
+        if self._moved.size:
+            points.inputs[:, self._inputs.places] = p[:, self._moved]
+        row, rows, keys = 0, len(points.result), self._keys(points)
+        while row < rows:
+            last = rows if points.seeded else next((k for k in range(row, rows) if keys[k] != keys[row]), rows)
+            component = self._components.get(keys[row]) or self._at(keys[row], p[row])
             if component is None:
-                return np.full((count, unknowns.places.size), np.nan)
-            try:
-                component.place(t, point.rows[0], p[self._moved] if self._moved.size else None)
-                for seed, row in zip(seeds.rows, result.rows, strict=True):
-                    component.directional(unknowns, knowns, seed, row)
-            except self._failure as error:
-                result.array[:] = np.nan
-                self._failed(component, error)
-            return result.array[:, unknowns.places]
+                points.result[row:last] = points.numbers[:] = np.nan
+            else:
+                try:
+                    component.compute(points, row, last)
+                except self._failure as error:
+                    first = int(points.failed[0])
+                    last = rows if points.seeded else first + 1
+                    points.result[first:last] = points.numbers[:] = np.nan
+                    self._failed(component, error)
+            row = last
 
-    def _buffer(self, name: str, rows: int, columns: int) -> Buffer:
-        """Rows that C and numpy share, made once for each size."""
-        found = self._buffers.get((name, rows, columns))
-        if found is None:
-            found = self._buffers[name, rows, columns] = Buffer(np.zeros((rows, columns)))
-        return found
-
-    def _keys(self, p: Array) -> list[bytes]:
-        """A key of the parameters of the rows of p; the same rows often come again."""
-        packed = len(p), p.tobytes()
-        if self._packed[0] != packed:
-            self._packed = packed, [row.tobytes() for row in p[:, self._held]]
-        return self._packed[1]
+    def _keys(self, points: Points) -> list[bytes]:
+        """A key of the parameters of each row; the same rows often come again."""
+        packed = points.p.tobytes()
+        if points.keys is None or points.keys[0] != packed:
+            points.keys = packed, [row.tobytes() for row in points.p[:, self._held]]
+        return points.keys[1]
 
     # Instances --------------------------------------------------------------------------------------------------------
 
     def _instantiated(self) -> Component:
-        held, moved = (tuple(self.given[k] for k in places) for places in (self._held, self._moved))
-        return Component(self._unpacked, self.complaints, len(self.variables.states), held, moved)
+        held = tuple(self.given[k] for k in self._held)
+        return Component(self._unpacked, self.complaints, len(self.variables.states), held)
 
     def _at(self, key: bytes, p: Array) -> Component | None:
         """An instance that gets the parameters of this key; None where the FMU refuses them.

@@ -1,7 +1,8 @@
 """Somebody's archive, checked before anything of it is written; from Python's own library alone.
 
 Nothing in an archive is trusted: names that leave the folder, in any of the places that a ZIP file has for names,
-links, encryption, methods of compression that ZIP bombs are made with, and sizes are refused.
+links, encryption, methods of compression that ZIP bombs are made with, and sizes are refused. Both / and \\ are taken
+as what stands between folders, whichever system an archive comes from or is read on.
 """
 
 from __future__ import annotations
@@ -103,9 +104,10 @@ def _checked(path: Path, archive: zipfile.ZipFile) -> tuple[dict[str, zipfile.Zi
     repeated = set()
     for member in members:
         for name in (member.orig_filename, member.filename):  # extra field 0x7075 gives a file another name
-            if not _stays(name):
+            if not _stays(name.replace("\\", "/")):
                 raise ValueError(f"{path}: refused: the file {name!r} would leave the folder it is unpacked in")
-        name = PurePosixPath(member.filename).as_posix()
+        shown = member.filename.replace("\\", "/")  # which tools of Windows write between folders
+        name = PurePosixPath(shown).as_posix()
         if stat.S_ISLNK(member.external_attr >> 16):
             raise ValueError(f"{path}: refused: {name!r} is a link")
         if member.flag_bits & 1:
@@ -114,11 +116,11 @@ def _checked(path: Path, archive: zipfile.ZipFile) -> tuple[dict[str, zipfile.Zi
             raise ValueError(f"{path}: refused: {name!r} is compressed by method {member.compress_type}, not deflate")
         if name in found:
             repeated.add(name)
-        if not member.is_dir():
+        if not shown.endswith("/"):
             found[name] = member
     return found, frozenset(repeated)
 
 
 def _stays(name: str) -> bool:
     parts = PurePosixPath(name).parts
-    return bool(parts) and not name.startswith("/") and ".." not in parts and not any(c in name for c in "\\:\0")
+    return bool(parts) and not name.startswith("/") and ".." not in parts and not any(c in name for c in ":\0")

@@ -21,6 +21,7 @@ tables below say how the arguments of its functions and the fields of its struct
 | multipliers.c, eigenvalues.c | the multipliers of a closed chain of maps | `stability.closed_maps` |
 | orbits.c | the same of an orbit at once, with their errors | `stability.full_period` |
 | taylor.c | power series of branches, and those with a linear tail | `zero.cosines`, `lattice.core_with_tail` |
+| fmus.c | numbers of an FMU at several points in one call | `fmu.fmu_component` |
 """
 
 from __future__ import annotations
@@ -93,6 +94,7 @@ FUNCTIONS = {
     "series_put": "ai",
     "series_right": "ai",
     "series_solve": "aaaa",
+    "fmu_at": "wwii",
 }
 TERMS = "iaaaaaa"
 LAYOUT = "iiii" + 4 * "iaa" + "aarraaa"

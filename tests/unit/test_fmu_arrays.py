@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import zipfile
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from foreign_fmus import state_space
+from kernels import numpy_alone
 
 from casadi_skin import import_fmu
 from casadi_skin.fmu.description import FmuWarning
@@ -36,7 +39,13 @@ def test_arrays_are_taken_number_by_number(arrays: Path) -> None:
     np.testing.assert_allclose(by_parameters, [[STATE[0], 0.0], [0.0, 0.5]], atol=1e-11)
 
 
-def test_inputs_take_signals(arrays: Path) -> None:
+@pytest.mark.parametrize("way", [nullcontext, numpy_alone])
+def test_inputs_take_signals(arrays: Path, way: Callable[[], AbstractContextManager[None]]) -> None:
+    with way():
+        inputs_take_signals(arrays)
+
+
+def inputs_take_signals(arrays: Path) -> None:
     model = import_fmu(arrays, inputs={"u[1]": lambda t: ca.cos(2.0 * t), "u[2]": -1.0}, forcing_period=np.pi)
     at = np.array(model.vector_field(0.4, STATE, [])).ravel()
     np.testing.assert_allclose(at, [STATE[1] + np.cos(0.8), -STATE[0] - 1.0], atol=1e-15)

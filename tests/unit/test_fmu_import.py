@@ -12,6 +12,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator
+from contextlib import nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from foreign_fmus import casadi_van_der_pol, changed, recompiled
+from kernels import numpy_alone
 from numpy.typing import NDArray
 
 from casadi_skin import (
@@ -221,6 +223,23 @@ def test_forced_model_needs_its_period(tmp_path: Path) -> None:
     np.testing.assert_allclose(model.function("f", field)(*at), truth.function("f", expected)(*at), atol=1e-10)
 
 
+def test_numbers_are_the_same_without_kernels(chain_fmu: Path) -> None:
+    """Values, both Jacobians, and values that the FMU discards between two that it has, row by row through fmpy."""
+    found = []
+    for way in (nullcontext(), numpy_alone()):
+        with way:
+            model = import_fmu(chain_fmu, parameters=PARAMETERS)
+            x = np.vstack([np.ones(8), np.full(8, np.inf), np.arange(8.0)])
+            p = np.array([[1.0, 0.2, 1.0], [1.0, 0.2, 1.0], [0.5, 0.1, 1.0]])
+            energy = model.function("energy", model.outputs["energy"])(0.0, x[0], p[0])
+            at = model.instance.at(None, (0.0, 1.0, 2.0), x, p)
+            found.append([at, *map(np.array, (energy, *jacobians(model)(0.0, x[2], p[2])))])
+            assert "failed with status 2 (discard)" in model.complaints[-1]
+            assert np.isnan(at).any(axis=1).tolist() == [False, True, False]
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
 # Simulations and orbits -----------------------------------------------------------------------------------------------
 
 
@@ -356,9 +375,25 @@ def test_names_that_are_not_there_get_the_nearest(chain_fmu: Path, own_temporary
     assert refusal(chain_fmu, states=["y_1", "y_2", "y_3", "y_4"]).startswith("states: left out: v_1, v_2, v_3, v_4")
 
 
+def test_separators_of_windows_are_separators(chain_fmu: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(chain_fmu) as source, zipfile.ZipFile(tmp_path / "windows.fmu", "w") as copy:
+        copy.writestr("resources\\", b"")
+        for name in source.namelist():
+            copy.writestr(name.replace("/", "\\"), source.read(name))
+    model = import_fmu(tmp_path / "windows.fmu")
+    assert model.start_state == import_fmu(chain_fmu).start_state
+    model.close()
+
+
 def test_hostile_archives_are_refused(chain_fmu: Path, own_temporary_folder: Path, tmp_path: Path) -> None:
     xml = zipfile.ZipFile(chain_fmu).read("modelDescription.xml")
-    for name in ("../evil.txt", "/tmp/evil.txt", "resources/../../evil.txt", "resources\\evil.txt", "c:evil.txt"):
+    for name in (
+        "../evil.txt",
+        "/tmp/evil.txt",
+        "resources/../../evil.txt",
+        "resources\\..\\..\\evil.txt",
+        "c:evil.txt",
+    ):
         path = archive_of(tmp_path / "evil.fmu", **{"modelDescription.xml": xml, name: b"x"})
         assert "would leave the folder" in refusal(path), name
     link = zipfile.ZipInfo("resources/link")
@@ -414,6 +449,9 @@ def test_fmus_that_cannot_be_used_are_refused(chain_fmu: Path, own_temporary_fol
     here = next(name for name in zipfile.ZipFile(chain_fmu).namelist() if name.startswith("binaries/"))
     path = changed(chain_fmu, tmp_path / "sources.fmu", {here: None})
     assert refusal(path).endswith("it has sources alone")
+    xml = zipfile.ZipFile(chain_fmu).read("modelDescription.xml")
+    bare = archive_of(tmp_path / "bare.fmu", **{"modelDescription.xml": xml})
+    assert refusal(bare).endswith("it has neither binaries nor sources")
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("binaries/win64/chain.dll", b"")
     assert refusal(path).endswith("it has binaries for win64")
