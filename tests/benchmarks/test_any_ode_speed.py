@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import resource
 import sys
-import time
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -36,6 +35,7 @@ from ode_cases import (
     synapses,
     van_der_pol,
 )
+from stopwatch import LEAST_OF, least
 
 from casadi_skin import find_equilibrium, find_orbit, run_map
 from casadi_skin.stability.result import LostMultiplierWarning
@@ -48,18 +48,8 @@ pytestmark = pytest.mark.benchmark
 
 ASKED, REFERENCE = 1e-8, 1e-11
 MESHES = (10, 20, 40, 80, 160, 320)
-REPEATS, FIRST_STEP = 3, 0.01
+FIRST_STEP = 0.01
 EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-def least(act: Callable[[], Any], repeats: int = REPEATS) -> tuple[float, Any]:
-    """Least time of the processor, after a first call that builds if there are several, and the last result."""
-    times = []
-    for _ in range(repeats if repeats == 1 else repeats + 1):
-        started = time.process_time()
-        found = act()
-        times.append(time.process_time() - started)
-    return min(times[-repeats:]), found
 
 
 def line(name: str, seconds: float, points: int, unit: float, aim: float | None = None, words: str = "") -> None:
@@ -86,7 +76,7 @@ def test_a_point_with_multipliers(case: OdeCase, unit: float, tmp_path: Path) ->
     auto = AutoOrbits(model, tmp_path, first, value)
     for intervals in MESHES:
         follow = partial(auto.follow, case.to, value, intervals, FIRST_STEP, case.longest)
-        found = min((follow() for _ in range(REPEATS)), key=lambda branch: branch.seconds)
+        found = min((follow() for _ in range(LEAST_OF)), key=lambda branch: branch.seconds)
         if abs(found.period / exact - 1.0) <= ASKED:
             break
     line(f"AUTO-07p, {intervals} x 4, {found.period / exact - 1.0:.0e}", found.seconds, found.points, unit)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 from outputs import EXAMPLES, load, module_at
 from scenes import chain, family, table
@@ -93,7 +94,12 @@ def test_the_programs_of_a_page_run_one_after_the_other(
     if page == "from_solve_bvp":
         assert names["solution"]["k"] == pytest.approx(6.283185307179586, rel=1e-8)
     if page == "README":
-        assert len(branch.changes) == 47  # type: ignore[union-attr]  # counted by the recursion of the page on changes
+        places, stable = [change.S for change in branch.changes], [orbit.floquet().stable for orbit in branch.orbits]  # type: ignore[union-attr]
+        assert len(places) == 47  # counted by the recursion of the page on changes
+        assert min(np.diff(places)) == pytest.approx(4.2e-4, rel=0.01)  # the narrowest window
+        assert (len(stable), sum(np.diff(stable))) == (50, 11)  # of the table
+        digits = branch.at(S=1.0).certify().Omega_digits  # type: ignore[union-attr]
+        assert float(digits.split(" +/- ")[1].rstrip("]")) < 4e-21
         assert names["cycles"].special_points[-1].parameters["r"] == pytest.approx(13.92655741, abs=2e-6)  # published
 
 
