@@ -45,9 +45,9 @@ from casadi_skin.export.orbit_equations import (
     orbit_part,
     residual_part,
 )
-from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.arguments import file_path
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.model.result import in_turn
+from casadi_skin.model.result import in_turn, renamed
 
 # The example program of an export: results of its parts, printed with all digits --------------------------------------
 
@@ -143,10 +143,11 @@ PART_MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
 START_HARMONICS = 12
 
 
+@renamed(directory="path")
 @in_turn
 def export_c(
     source: Source,
-    directory: str | Path,
+    path: str | Path,
     what: Collection[str] | None = None,
     *,
     name: str | None = None,
@@ -156,7 +157,7 @@ def export_c(
 
     Arguments:
         source: A Chain, an OdeModel, or an orbit of `follow_family` or `find_orbit`.
-        directory: A new or empty directory.
+        path: A new or empty directory.
         what: The parts: rhs, jacobian, variational, outputs, flow, residual, newton, orbit, ipopt; by default all that
             the source has and that need libm only.
         name: The prefix of all C names and files, by default that of the model or "chain".
@@ -172,7 +173,7 @@ def export_c(
     """
     exported = exported_model(source, name, harmonics)
     chosen = chosen_parts(exported, what)
-    target = _free(directory)
+    target = _free(path)
     check_parts(exported.model.vector_field)  # before its derivatives, which it may not have
     texts = export_texts(exported, chosen)
     _write(texts, target)
@@ -243,11 +244,9 @@ def _definitions(parts: list[Part]) -> str:
 # The directory --------------------------------------------------------------------------------------------------------
 
 
-def _free(directory: str | Path) -> Path:
+def _free(path: str | Path) -> Path:
     """The directory, which does not exist or is empty; raises ValueError, TypeError where it cannot be used."""
-    if not isinstance(directory, str | Path) or not str(directory):
-        raise TypeError(f"directory: given {short_repr(directory)}; accepted: a path")
-    target = Path(directory)
+    target = file_path("path", path)
     accepted = "accepted: an empty or new directory"
     if not target.is_dir() and (target.exists() or target.is_symlink()):
         raise ValueError(f"{target}: is not a directory; {accepted}")

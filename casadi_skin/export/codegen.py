@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.fmu.description import fmpy_package
 from casadi_skin.model.arguments import file_path, short_repr
+from casadi_skin.model.result import renamed
 
 LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
 EXTERNAL_CLASS_NAME = "External"  # CasADi's class name of a function in a library that is loaded when it is called
@@ -373,11 +374,12 @@ def _compile(compiler: str, arguments: Sequence[str], folder: Path | None = None
         )
 
 
-def build_c(directory: str | Path, compiler: str | None = None) -> Path:
+@renamed(directory="path")
+def build_c(path: str | Path, compiler: str | None = None) -> Path:
     """Compile the example program of an export of C code into its directory.
 
     Arguments:
-        directory: The directory that `export_c` wrote.
+        path: The directory that `export_c` wrote.
         compiler: Name or path of a C99 compiler; by default $CC, else cc, gcc or clang.
 
     Returns:
@@ -386,12 +388,12 @@ def build_c(directory: str | Path, compiler: str | None = None) -> Path:
     Raises:
         ValueError: The directory is no export; as CompilerError, the compiler is missing or fails.
     """
-    folder = file_path("directory", directory)
+    folder = file_path("path", path)
     if compiler is not None:
         file_path("compiler", compiler)
     sources = sorted(path.name for path in folder.glob("*.c") if "_ipopt" not in path.stem)
     if "main.c" not in sources:
-        raise ValueError(f"directory: given {short_repr(str(directory))}; accepted: one that export_c wrote")
+        raise ValueError(f"path: given {short_repr(str(path))}; accepted: one that export_c wrote")
     _compile(find_compiler(compiler), [*sources, "-lm", "-o", "main"], folder)
     return folder / "main"
 

@@ -38,7 +38,7 @@ from casadi_skin.fmu.initial_value_problem import (
 from casadi_skin.fmu.instance import with_inputs
 from casadi_skin.model.arguments import check_name, file_path, truth
 from casadi_skin.model.files import replacing
-from casadi_skin.model.result import in_turn
+from casadi_skin.model.result import in_turn, renamed
 
 # The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml -------
 
@@ -249,9 +249,10 @@ HEADER_FILES = ("instance.h", "dop853.h")
 _FILE_DATE = (1980, 1, 1, 0, 0, 0)  # of all files inside: the same model gives the same archive
 
 
+@renamed(what="source")
 @in_turn
 def export_fmu(
-    what: Source,
+    source: Source,
     path: str | Path,
     fmi: Fmi = "3.0",
     *,
@@ -270,7 +271,7 @@ def export_fmu(
     modes lean to. The sources are inside; a file that is there is replaced. The model is dimensionless.
 
     Arguments:
-        what: A Chain, an OdeModel, or an orbit of `follow_family` or `find_orbit`.
+        source: A Chain, an OdeModel, or an orbit of `follow_family` or `find_orbit`.
         path: The file, whose name ends in .fmu.
         fmi: The version of the standard, "3.0" or "2.0".
         start: Displacements, or these and velocities, shape (sites,) or (2 sites,); of a model its states. By default a
@@ -298,7 +299,7 @@ def export_fmu(
         raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
     if not target.parent.is_dir():
         raise ValueError(f"path: no folder {str(target.parent)!r}; accepted: a file in a folder that is there")
-    problem = with_inputs(initial_value_problem(what, start, mode, S, stop_time, tolerance), inputs)
+    problem = with_inputs(initial_value_problem(source, start, mode, S, stop_time, tolerance), inputs)
     check_smooth(problem)
     files = contents(problem, fmi)
     if binary:

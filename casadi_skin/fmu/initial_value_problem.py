@@ -57,7 +57,7 @@ class InitialValueProblem:
 
 
 def initial_value_problem(
-    what: object,
+    source: object,
     start: ArrayLike | None,
     mode: int | str | None,
     S: float | None,
@@ -68,29 +68,29 @@ def initial_value_problem(
     if stop_time is not None and number("stop_time", stop_time, "a finite number > 0") <= 0:
         raise ValueError(f"stop_time: given {stop_time!r}; accepted: a finite number > 0")
     number_within("tolerance", tolerance, 1e-14, 1e-2)
-    if not isinstance(what, Chain):
+    if not isinstance(source, Chain):
         for name, given in (("mode", mode), ("S", S)):
             if given is not None:
                 raise ValueError(
                     f"{name}: given {short_repr(given)}; accepted: with a Chain, which starts from a linear mode"
                 )
-    if isinstance(what, OdeModel):
-        return _of_model(what, start, what.nominal, stop_time, tolerance)
-    if isinstance(what, Orbit):
-        start, stop = what.profile if start is None else start, stop_time or DEFAULT_PERIODS * what.period
-        sizes = sizes_along(what)
-        if isinstance(what.model, Chain):
-            return _of_chain(what.model, start, sizes, stop, tolerance)
-        return _of_model(what.model, start, tuple(what.model_parameters.tolist()), stop, tolerance, sizes)
-    if not isinstance(what, Chain):
-        raise TypeError(f"what: given {short_repr(what)}; accepted: a Chain, an OdeModel or an orbit")
-    if what.infinite:
+    if isinstance(source, OdeModel):
+        return _of_model(source, start, source.nominal, stop_time, tolerance)
+    if isinstance(source, Orbit):
+        start, stop = source.profile if start is None else start, stop_time or DEFAULT_PERIODS * source.period
+        sizes = sizes_along(source)
+        if isinstance(source.model, Chain):
+            return _of_chain(source.model, start, sizes, stop, tolerance)
+        return _of_model(source.model, start, tuple(source.model_parameters.tolist()), stop, tolerance, sizes)
+    if not isinstance(source, Chain):
+        raise TypeError(f"source: given {short_repr(source)}; accepted: a Chain, an OdeModel or an orbit")
+    if source.infinite:
         raise ValueError("sites: given inf; accepted: a finite chain")
     mode, S = 1 if mode is None else mode, DEFAULT_S if S is None else S
-    frequency = what.linear_frequency(mode)
-    start = _linear_mode(what, mode, S) if start is None else start
+    frequency = source.linear_frequency(mode)
+    start = _linear_mode(source, mode, S) if start is None else start
     stop = DEFAULT_PERIODS * 2.0 * np.pi / frequency if stop_time is None else stop_time
-    return _of_chain(what, start, _sizes_in_gauge(what, start, frequency), stop, tolerance)
+    return _of_chain(source, start, _sizes_in_gauge(source, start, frequency), stop, tolerance)
 
 
 # Sizes --------------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
+import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import FunctionType
@@ -41,6 +42,24 @@ def in_turn(function: Callable[P, T]) -> Callable[P, T]:
             return function(*arguments, **options)
 
     return alone
+
+
+def renamed(**older: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """A function that takes arguments by their older names too, older = new, with a warning, until version 0.4."""
+
+    def taking(function: Callable[P, T]) -> Callable[P, T]:
+        @functools.wraps(function)
+        def called(*arguments: P.args, **options: P.kwargs) -> T:
+            for old, new in older.items():
+                if old in options and new not in options:
+                    words = f"{function.__name__}: the argument {old} is called {new}; {old} is taken until version 0.4"
+                    warnings.warn(words, DeprecationWarning, stacklevel=2)
+                    options[new] = options.pop(old)
+            return function(*arguments, **options)
+
+        return called
+
+    return taking
 
 
 class _KeptInTurn(functools.cached_property[Any]):

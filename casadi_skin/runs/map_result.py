@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
-from casadi_skin.model.result import WithVerbs, in_turn
+from casadi_skin.model.result import WithVerbs, in_turn, renamed
 from casadi_skin.results import present
 from casadi_skin.results.dataset import (
     LARGEST_WHOLE_NUMBER,
@@ -648,12 +648,13 @@ def _(found: Map) -> Shown:
 ACCEPTED_MAPS = "accepted: the directory of a map, with its scene.toml and journals, or a file of Map.save"
 
 
+@renamed(directory="path")
 @in_turn
-def read_map(directory: str | Path) -> Map:
+def read_map(path: str | Path) -> Map:
     """Read a map that was computed, or is being computed, without its model and without computing anything.
 
     Arguments:
-        directory: of its results, or one file that `Map.save` wrote.
+        path: the directory of its results, or one file that `Map.save` wrote.
 
     Returns:
         The map, with the values, the bits and the boundary that `run_map` gave; `complete` is False while cells are
@@ -663,7 +664,7 @@ def read_map(directory: str | Path) -> Map:
         ValueError: there is no map, or its files cannot be read; the message names the place.
         TypeError: the argument is no path.
     """
-    source = file_path("directory", directory)
+    source = file_path("path", path)
     if not source.is_file():
         return _in_directory(source, source)
     archive, folder = Archive(source, "a map in one file"), TemporaryFolder("casadi_skin_map_")

@@ -21,7 +21,7 @@ from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.expressions import Expression, real_array
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.pickled import programs_in
-from casadi_skin.model.result import in_turn
+from casadi_skin.model.result import in_turn, renamed
 from casadi_skin.search.boundary_nlp import BoundaryNlp, refined
 from casadi_skin.search.conditions import checked_bounds, checked_conditions, free_names, sampled_starts
 from casadi_skin.search.design import Design, Ending, best_of, grouped, optimum_words
@@ -266,9 +266,10 @@ def _units(names: Sequence[str], states: Array) -> tuple[float, str]:
 # The public entry -----------------------------------------------------------------------------------------------------
 
 
+@renamed(chain_or_model="model")
 @in_turn
 def search_orbit(
-    chain_or_model: Chain | OdeModel,
+    model: Chain | OdeModel,
     *,
     guess: Guess | None = None,
     free: Sequence[str],
@@ -289,7 +290,7 @@ def search_orbit(
     derivatives, by collocation. Distinct optima are made final on finer meshes and compared with plain orbits.
 
     Arguments:
-        chain_or_model: a `Chain` of finitely many sites, or an `OdeModel`.
+        model: a `Chain` of finitely many sites, or an `OdeModel`.
         mode, S: of a family: its mode, and the total amplitude of its orbit or of the first start; with a list of S
             there is one orbit at each, and functions get the tuple of them. The objective is a name or a function of
             the orbit, as in `optimise`.
@@ -319,15 +320,15 @@ def search_orbit(
         ValueError, TypeError: arguments that are not accepted, before anything is solved.
     """
     truth("maximise", maximise)
-    if not isinstance(chain_or_model, cast(Any, OdeModel if guess is not None else Chain | OdeModel)):
+    if not isinstance(model, cast(Any, OdeModel if guess is not None else Chain | OdeModel)):
         accepted = "an OdeModel" if guess is not None else "a Chain or an OdeModel"
-        raise TypeError(f"chain_or_model: given {short_repr(chain_or_model)}; accepted: {accepted}")
+        raise TypeError(f"model: given {short_repr(model)}; accepted: {accepted}")
     if guess is None:
         given = {"free": free, "bounds": bounds, "constraints": constraints, "maximise": maximise, **stated}
         check_options("search_orbit", stated, search_orbit, _of_family)
-        return _of_family(chain_or_model, starts=starts, seed=seed, progress=progress, **given)
+        return _of_family(model, starts=starts, seed=seed, progress=progress, **given)
     problem = OrbitSearch(
-        chain_or_model, guess=guess, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
+        model, guess=guess, free=free, bounds=bounds, constraints=constraints, maximise=maximise, **stated
     )
     own, limits = [problem.parameters[name] for name in problem.free], [problem.limits[name] for name in problem.free]
     first = [Start(number, row) for number, row in enumerate(sampled_starts(own, limits, starts, seed), start=1)]
@@ -345,7 +346,7 @@ def search_orbit(
 
 
 def _of_family(
-    chain_or_model: Chain | OdeModel, *, objective: Any = None, mode: int | str | None = None, S: Any = 1.0,
+    model: Chain | OdeModel, *, objective: Any = None, mode: int | str | None = None, S: Any = 1.0,
     parameters: Mapping[str, float] | None = None, tolerance: float = 1e-8, free: Sequence[str],
     bounds: Mapping[str, Any] | None, constraints: Sequence[Any], maximise: bool, starts: int, seed: int,
     progress: Callable[[Any], None] | None,
@@ -363,7 +364,7 @@ def _of_family(
         return (lambda *known: quantity(known)) if several and callable(quantity) else quantity
 
     held = [(joined(c[0]), *c[1:]) if isinstance(c, list | tuple) else joined(c) for c in constraints]
-    of = family_starts(chain_or_model, mode, amplitudes, parameters, tolerance)
+    of = family_starts(model, mode, amplitudes, parameters, tolerance)
     words = "objective", "free", "constraints"
     problem = DesignProblem.of(joined(objective), of, free, held, bounds, maximise, words)
     return best_design(problem, problem.places(starts, seed), tolerance, progress)

@@ -193,7 +193,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     ),
     "search_orbit": (
         lambda: search_orbit,
-        {"chain_or_model": VAN_DER_POL, "objective": "period", "running": None, "free": ("mu",),
+        {"model": VAN_DER_POL, "objective": "period", "running": None, "free": ("mu",),
          "bounds": {"mu": (0.05, 0.1)}, "constraints": (), "starts": 1, "guess": circle, "period": 6.3, "select": None,
          "section": None, "symmetric": False, "cycles": 1, "parameters": {"mu": 0.1}, "tolerance": 1e-3,
          "intervals": 10},
@@ -239,12 +239,12 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     ),
     "export_c": (
         lambda: export_c,
-        {"source": SPRING, "directory": "c", "what": ("rhs",), "name": None, "harmonics": 4},
+        {"source": SPRING, "path": "c", "what": ("rhs",), "name": None, "harmonics": 4},
     ),
-    "build_c": (lambda: build_c, {"directory": "missing", "compiler": None}),
+    "build_c": (lambda: build_c, {"path": "missing", "compiler": None}),
     "export_fmu": (
         lambda: export_fmu,
-        {"what": SPRING, "path": "spring.fmu", "fmi": "3.0", "start": None, "mode": None, "S": None, "stop_time": 1.0,
+        {"source": SPRING, "path": "spring.fmu", "fmi": "3.0", "start": None, "mode": None, "S": None, "stop_time": 1.0,
          "tolerance": 1e-4, "binary": False},
     ),
     "import_fmu": (
@@ -257,7 +257,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
          "collect": False, "resume": False, "overwrite": False, "pictures": False, "quiet": True},
     ),
     "save_model": (lambda: save_model, {"model": SPRING, "path": "spring.json"}),
-    "read_map": (lambda: read_map, {"directory": "map"}),
+    "read_map": (lambda: read_map, {"path": "map"}),
     "read_model": (lambda: read_model, {"path": "spring.json"}),
     "save_result": (lambda: save_result, {"result": branch(), "path": "branch.skin"}),
     "read_result": (lambda: read_result, {"path": "branch.skin"}),
@@ -340,9 +340,8 @@ def called(name: str, draw: random.Random, folder: Path) -> tuple[Callable[[], A
     """A call of a public name with one to three arguments replaced, left out or added, and what it says in words."""
     make, right = CALLS[name]
     given = dict(right)
-    for key in ("directory", "path"):
-        if isinstance(given.get(key), str):
-            given[key] = str(folder / given[key])
+    if isinstance(given.get("path"), str):
+        given["path"] = str(folder / given["path"])
     fill(name, given)
     for _ in range(draw.randint(1, 3) if draw.random() < 0.4 else 1):
         key = draw.choice(list(given))

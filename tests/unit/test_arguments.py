@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import pytest
 
+from casadi_skin import Chain, build_c, export_c, export_fmu, read_map, search_orbit
 from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, cut, nearest, short_repr
 
 NAMES = ("Omega", "S", "gamma", "participation")
@@ -47,3 +52,29 @@ def test_long_values_are_one_line_of_so_many_characters() -> None:
     assert short_repr("a\nb" * 50) == "'" + "a\\nb" * 14 + "..."
     assert short_repr(10**5000).startswith("0x")
     assert len(short_repr(10**5000)) == LONGEST_VALUE_TEXT
+
+
+def test_older_names_of_arguments_work_and_the_warning_names_the_new_one(tmp_path: Path) -> None:
+    chain, export = Chain(2, 1.0, 0.25, 1.0), _untyped(export_c)
+    with pytest.warns(DeprecationWarning, match="export_c: the argument directory is called path; directory is taken"):
+        written = export(chain, directory=tmp_path / "c", what=["rhs"])
+    again = export(chain, tmp_path / "again", ["rhs"])
+    assert [path.read_text() for path in sorted(written.iterdir())] == [p.read_text() for p in sorted(again.iterdir())]
+    calls: list[tuple[Callable[..., Any], dict[str, Any], str, str]] = [
+        (read_map, {"directory": 3}, "path", "path: given 3"),
+        (build_c, {"directory": 3}, "path", "path: given 3"),
+        (search_orbit, {"chain_or_model": 3, "free": ["mu"]}, "model", "model: given 3"),
+        (export_fmu, {"what": 3, "path": tmp_path / "a.fmu"}, "source", "source: given 3"),
+    ]
+    for call, given, name, words in calls:
+        told = pytest.warns(DeprecationWarning, match=f"is called {name}; ")
+        with told as warned, pytest.raises(TypeError, match=words):
+            call(**given)
+        assert [warning.filename for warning in warned] == [__file__]  # the place of the caller
+    told = pytest.warns(DeprecationWarning, match="is called path; ")
+    with told, pytest.raises(TypeError, match="multiple values for argument 'path'"):
+        _untyped(read_map)(tmp_path, directory=tmp_path)
+
+
+def _untyped(function: Callable[..., Any]) -> Callable[..., Any]:
+    return function

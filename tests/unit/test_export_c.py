@@ -440,12 +440,12 @@ def test_parts_have_the_same_names_in_scenes_and_in_python() -> None:
         ({"name": "a" * 61}, "name: given 'aaa.*; accepted: up to 60 lower-case letters"),
         ({"name": 5}, "name: given 5; accepted: a string"),
         ({"harmonics": 1}, "harmonics: given 1"),
-        ({"directory": ""}, "directory: given ''; accepted: a path"),
+        ({"path": ""}, "path: given ''; accepted: a path in one line"),
     ],
 )
 def test_arguments_that_are_refused(changes: dict[str, Any], told: str, tmp_path: Path) -> None:
     with pytest.raises((ValueError, TypeError), match=told) as refusal:
-        export_c(**({"source": SOFT, "directory": tmp_path / "c"} | changes))
+        export_c(**({"source": SOFT, "path": tmp_path / "c"} | changes))
     assert "\n" not in str(refusal.value)
     assert not list(tmp_path.iterdir())
 

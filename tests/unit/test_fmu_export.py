@@ -522,7 +522,7 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
         with pytest.raises(ValueError, match=words.replace("(", r"\(")) as refused:
             export_fmu(*arguments, **keywords)
         assert "\n" not in str(refused.value)
-    with pytest.raises(TypeError, match="what: given 3; accepted: a Chain, an OdeModel or an orbit"):
+    with pytest.raises(TypeError, match="source: given 3; accepted: a Chain, an OdeModel or an orbit"):
         export_fmu(3, path)
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(ValueError, match=r"compiler: 'no-such-compiler' not found; accepted: .*CC=.* or binary=False"):

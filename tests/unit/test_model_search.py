@@ -244,9 +244,9 @@ def test_without_an_optimum_the_nearest_start_tells_why() -> None:
 
 
 def test_what_searches_are_not_for_is_named() -> None:
-    with pytest.raises(TypeError, match=r"chain_or_model: given Chain.*accepted: an OdeModel"):
+    with pytest.raises(TypeError, match=r"model: given Chain.*accepted: an OdeModel"):
         search_orbit(Chain(6, 1.0, 0.3, 1.0), guess=[0.0], objective="S", free=("S",))
-    with pytest.raises(TypeError, match="chain_or_model: given 3; accepted: a Chain or an OdeModel"):
+    with pytest.raises(TypeError, match="model: given 3; accepted: a Chain or an OdeModel"):
         search_orbit(3, objective="S", free=("S",))  # type: ignore[arg-type]
     with ThreadPoolExecutor(1) as threads, pytest.raises(TypeError, match="between threads"):
         search(executor=threads)
