@@ -38,7 +38,7 @@ class Equations:
     time: Expression | None = None
     forcing_period: Expression | float | None = None
     outputs: Mapping[str, Expression] = field(default_factory=dict)
-    nominal: tuple[float, ...] | None = None
+    nominal: tuple[float, ...] | Any = None
     state_labels: tuple[str, ...] | None = None
     parameter_labels: tuple[str, ...] | None = None
     checked: bool = True

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import math
 import os
 import re
 import sys
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +184,31 @@ def test_examples_and_pages_import_public_names_alone() -> None:
     assert deep == set()
     used = {name for program in programs.values() for name in imported(program) if name.startswith("casadi_skin.")}
     assert {name for name in used if name.count(".") == 1} <= {f"casadi_skin.{name}" for name in casadi_skin.__all__}
+
+
+# Names that other programs have for what is `model`, `guess`, `path`, `tolerance`, `progress` or `workers` here.
+OTHERWISE = {
+    "chain_or_model", "system", "ode", "initial", "initial_guess", "x0", "directory", "folder", "file", "filename",
+    "target", "tol", "rtol", "atol", "eps", "callback", "verbose", "n_jobs", "jobs", "processes", "pool",
+}  # fmt: skip
+OTHER_TOLERANCES = {"find_equilibrium": 1e-10, "find_equilibria": 1e-10, "simulate": 1e-9, "evolve": 1e-11}
+OTHER_TOLERANCES["simulate_orbit"] = OTHER_TOLERANCES["evolve"]  # why: "What is public" in python_reference.md
+
+
+def test_one_argument_has_one_name_and_a_tolerance_one_value() -> None:
+    made, tolerances = module_at(DOCS / "generate_public_names.py").MADE, {}  # no script makes results
+    for name in casadi_skin.__all__:
+        public = getattr(casadi_skin, name)
+        if inspect.isclass(public) and issubclass(public, Enum | Exception):
+            continue
+        called = [] if inspect.isclass(public) and issubclass(public, made) else [public]
+        called += [getattr(public, verb) for verb in dir(public) if verb[0] != "_" and inspect.isclass(public)]
+        for function in filter(callable, called):
+            arguments = inspect.signature(function).parameters
+            assert not OTHERWISE & set(arguments), f"{name}, {function}"
+            if function is public and "tolerance" in arguments:
+                tolerances[name] = arguments["tolerance"].default
+    assert {name: value for name, value in tolerances.items() if value != 1e-8} == OTHER_TOLERANCES
 
 
 def modules(program: str) -> set[str]:
