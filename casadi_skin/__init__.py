@@ -10,67 +10,46 @@ from casadi_skin.model.result import Result
 
 if TYPE_CHECKING:
     from casadi_skin.certify.certificate import Certificate as Certificate
-    from casadi_skin.dynamics.evolution import Evolution as Evolution
-    from casadi_skin.dynamics.evolution import EvolutionError as EvolutionError
-    from casadi_skin.dynamics.evolve import distance_from_orbit as distance_from_orbit
-    from casadi_skin.dynamics.evolve import evolve as evolve
-    from casadi_skin.dynamics.evolve import perturbed as perturbed
-    from casadi_skin.dynamics.evolve import simulate as simulate
+    from casadi_skin.dynamics.evolution import Evolution as Evolution, EvolutionError as EvolutionError
+    from casadi_skin.dynamics.evolve import distance_from_orbit as distance_from_orbit, evolve as evolve
+    from casadi_skin.dynamics.evolve import perturbed as perturbed, simulate as simulate
     from casadi_skin.dynamics.evolve import simulate_orbit as simulate_orbit
-    from casadi_skin.dynamics.resonances import conservative_part as conservative_part
-    from casadi_skin.dynamics.resonances import energy_balance as energy_balance
+    from casadi_skin.dynamics.resonances import conservative_part as conservative_part, energy_balance as energy_balance
     from casadi_skin.dynamics.resonances import resonances as resonances
-    from casadi_skin.dynamics.starts import initial_state as initial_state
-    from casadi_skin.dynamics.starts import spreading as spreading
+    from casadi_skin.dynamics.starts import initial_state as initial_state, spreading as spreading
     from casadi_skin.export.c_code import export_c as export_c
     from casadi_skin.export.codegen import build_c as build_c
     from casadi_skin.fmu.archive import export_fmu as export_fmu
     from casadi_skin.fmu.model import import_fmu as import_fmu
-    from casadi_skin.follow.branch import Branch as Branch
-    from casadi_skin.follow.branch import harmonic_shares as harmonic_shares
+    from casadi_skin.follow.branch import Branch as Branch, harmonic_shares as harmonic_shares
     from casadi_skin.follow.branch import third_harmonic_leads as third_harmonic_leads
     from casadi_skin.follow.family_series import FamilySeries as FamilySeries
     from casadi_skin.follow.find import find_orbit as find_orbit
     from casadi_skin.follow.follow import follow_family as follow_family
-    from casadi_skin.follow.rest_space import find_equilibria as find_equilibria
-    from casadi_skin.follow.rest_space import find_equilibrium as find_equilibrium
-    from casadi_skin.follow.solution import Equilibrium as Equilibrium
-    from casadi_skin.follow.solution import Orbit as Orbit
-    from casadi_skin.follow.solution import Solution as Solution
-    from casadi_skin.follow.space import BoundaryError as BoundaryError
-    from casadi_skin.follow.space import EquilibriumError as EquilibriumError
+    from casadi_skin.follow.rest_space import find_equilibria as find_equilibria, find_equilibrium as find_equilibrium
+    from casadi_skin.follow.solution import Equilibrium as Equilibrium, Orbit as Orbit, Solution as Solution
+    from casadi_skin.follow.space import BoundaryError as BoundaryError, EquilibriumError as EquilibriumError
     from casadi_skin.follow.special_points import SpecialPoint as SpecialPoint
     from casadi_skin.lattice import closed_forms as closed_forms
     from casadi_skin.lattice.chain import Chain as Chain
-    from casadi_skin.lattice.lattice import Bond as Bond
-    from casadi_skin.lattice.lattice import Lattice as Lattice
-    from casadi_skin.lattice.lattice import LongLattice as LongLattice
-    from casadi_skin.lattice.lattice import Site as Site
+    from casadi_skin.lattice.lattice import Bond as Bond, Lattice as Lattice, LongLattice as LongLattice, Site as Site
     from casadi_skin.lattice.lattice import Uniform as Uniform
-    from casadi_skin.lattice.linear import bands as bands
-    from casadi_skin.lattice.linear import brillouin_zone as brillouin_zone
-    from casadi_skin.lattice.linear import lattice_modes as lattice_modes
-    from casadi_skin.lattice.linear import winding_numbers as winding_numbers
+    from casadi_skin.lattice.linear import bands as bands, brillouin_zone as brillouin_zone
+    from casadi_skin.lattice.linear import lattice_modes as lattice_modes, winding_numbers as winding_numbers
     from casadi_skin.model.conserved import SymmetryClass as SymmetryClass
     from casadi_skin.model.ode import OdeModel as OdeModel
-    from casadi_skin.model.saved import read_model as read_model
-    from casadi_skin.model.saved import save_model as save_model
+    from casadi_skin.model.saved import read_model as read_model, save_model as save_model
     from casadi_skin.points.diagram import Diagram as Diagram
     from casadi_skin.points.gradient import Gradient as Gradient
     from casadi_skin.results.figures.style import style as style
-    from casadi_skin.results.saving import read_result as read_result
-    from casadi_skin.results.saving import save_result as save_result
+    from casadi_skin.results.saving import read_result as read_result, save_result as save_result
     from casadi_skin.runs.map import run_map as run_map
-    from casadi_skin.runs.map_result import Map as Map
-    from casadi_skin.runs.map_result import read_map as read_map
+    from casadi_skin.runs.map_result import Map as Map, read_map as read_map
     from casadi_skin.search.design import Design as Design
-    from casadi_skin.search.designs import ParetoFront as ParetoFront
-    from casadi_skin.search.designs import optimise as optimise
+    from casadi_skin.search.designs import ParetoFront as ParetoFront, optimise as optimise
     from casadi_skin.search.designs import pareto_front as pareto_front
-    from casadi_skin.search.fit import Fit as Fit
-    from casadi_skin.search.fit import fit_parameters as fit_parameters
-    from casadi_skin.search.kick import KickError as KickError
-    from casadi_skin.search.kick import SmallestKick as SmallestKick
+    from casadi_skin.search.fit import Fit as Fit, fit_parameters as fit_parameters
+    from casadi_skin.search.kick import KickError as KickError, SmallestKick as SmallestKick
     from casadi_skin.search.kick import smallest_kick as smallest_kick
     from casadi_skin.search.orbit_search import search_orbit as search_orbit
     from casadi_skin.stability.growth import TransientGrowth as TransientGrowth

@@ -23,15 +23,7 @@ from casadi_skin.follow.closed_curve import Curve, cosine_curve
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.follow.space import FAMILY
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.arguments import (
-    by_name,
-    check_instance,
-    check_name,
-    number,
-    short_repr,
-    state_by_name,
-    whole,
-)
+from casadi_skin.model.arguments import by_name, check_instance, check_name, number, short_repr, state_by_name, whole
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.integrators import INTEGRATORS as ANY_INTEGRATORS
 from casadi_skin.model.integrators import (

@@ -41,13 +41,7 @@ from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel, model_of
 from casadi_skin.model.result import in_turn
 from casadi_skin.solve.levels import Levels, converged_mesh
-from casadi_skin.solve.newton import (
-    Correction,
-    NewtonCorrector,
-    equilibrium_words,
-    not_finite,
-    rank_deficiency,
-)
+from casadi_skin.solve.newton import Correction, NewtonCorrector, equilibrium_words, not_finite, rank_deficiency
 from casadi_skin.solve.watch import TimeLimitError, watched
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.orbit import (

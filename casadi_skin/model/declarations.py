@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.arguments import check_name, number, numbers, short_repr, truth
+from casadi_skin.model.arguments import number, numbers, short_repr, state_by_name, truth
 from casadi_skin.model.equations import Array, Equations
 from casadi_skin.model.expressions import Expression, expression_of, names_of, symbols_of
 from casadi_skin.model.implicit import mass_matrix
@@ -99,11 +99,10 @@ def _converters(found: Mapping[str, Expression], size: int, labels: Any) -> dict
         if not isinstance(given, Mapping):
             return numbers(label, given)
         known = names_of(found["parameters"], None if labels is None else names("parameter_labels", labels))
-        for name in given:
-            check_name(label, name, known)
+        values = state_by_name(label, given, known)
         for name in set(known) - set(given):
             raise ValueError(f"{label}: given none for {name}; accepted: a number for each parameter")
-        return tuple(number(f"{label}, {name}", given[name]) for name in known)
+        return tuple(values)
 
     def signs(label: str, given: Any) -> tuple[int, ...]:
         values = list(given) if np.iterable(given) and not isinstance(given, str | bytes) else [0]

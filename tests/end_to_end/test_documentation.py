@@ -167,6 +167,14 @@ def test_the_reference_has_every_public_name_once() -> None:
     )
 
 
+def test_type_checkers_and_programs_find_public_names_in_the_same_modules() -> None:
+    (block,) = (node for node in ast.parse(inspect.getsource(casadi_skin)).body if isinstance(node, ast.If))
+    found = {
+        (str(node.module), each.name) for node in block.body if isinstance(node, ast.ImportFrom) for each in node.names
+    }
+    assert found == {(f"casadi_skin.{place}", name) for place, names in casadi_skin.PLACES.items() for name in names}
+
+
 OWN_PROGRAM = re.compile(r"casadi_skin\.(runs|results)\.[\w.]+|casadi_skin\.model\.arguments")
 
 
