@@ -12,8 +12,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.special import ellipk
 
-from casadi_skin import OdeModel, find_equilibrium, find_orbit, read_model, save_model, simulate
-from casadi_skin.dynamics import evolve
+from casadi_skin import OdeModel, evolve, find_equilibrium, find_orbit, read_model, save_model, simulate
 
 V = 1e3  # another unit
 
