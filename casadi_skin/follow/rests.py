@@ -7,7 +7,7 @@ orbit. Left invariant subspaces from Schur's form serve eigenvalues that are com
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -167,11 +167,10 @@ def _rest_near(model: OdeModel, x: Array, course: Course, walking: int, fastest:
     )
     start, p = x, course.p
     found = _equilibrium(slope, x, p, course.extent)
-    free = _free_changes(model, course.extent)
-    rest = None if found is None else _classified((slope, free), found, p, course.extent, fastest, saddle=True)
+    rest = None if found is None else _classified(model, slope, found, p, course.extent, fastest, saddle=True)
     if rest is None:
         solved = _saddle_node(slope, start, p, walking, course.extent)
-        rest = None if solved is None else _classified((slope, free), *solved, course.extent, fastest, saddle=False)
+        rest = None if solved is None else _classified(model, slope, *solved, course.extent, fastest, saddle=False)
     return None if rest is None or np.any(np.abs(rest.x - start) > EQUILIBRIUM_DISTANCE * course.extent) else rest
 
 
@@ -211,24 +210,15 @@ def _root(y: ca.MX, equations: ca.MX, guess: Array, sizes: Array) -> Array | Non
     return np.array(found).ravel() if np.all(np.isfinite(ends)) else None
 
 
-FreeChanges = Callable[[Array, Array, Array], Array]
-
-
-def _free_changes(model: OdeModel, extent: Array) -> FreeChanges:
-    """What makes of a state, parameters and derivatives there those of changes that meet algebraic equations."""
-    own = model.inner if isinstance(model, Extended) else model
-    if own.implicit is None:
-        return lambda x, p, slope: slope * extent / extent[:, None]
-    implicit, count = own.implicit, own.parameters.numel()
-    return lambda x, p, slope: implicit.among_free(x, p[:count], extent)(slope)
-
-
 def _classified(
-    linear: tuple[ca.Function, FreeChanges], x: Array, p: Array, extent: Array, fastest: float, saddle: bool
+    model: OdeModel, slope: ca.Function, x: Array, p: Array, extent: Array, fastest: float, saddle: bool
 ) -> Rest | None:
     """The equilibrium with its coordinates; None where it is neither a saddle nor a saddle-node of two eigenvalues."""
-    slope, free = np.array(linear[0](0.0, x, p)[1]), linear[1]
-    scaled, values = slope * extent / extent[:, None], np.linalg.eigvals(free(x, p, slope))
+    matrix, own = np.array(slope(0.0, x, p)[1]), model.inner if isinstance(model, Extended) else model
+    scaled, free = matrix * extent / extent[:, None], own.implicit
+    values = np.linalg.eigvals(
+        scaled if free is None else free.among_free(x, p[: own.parameters.numel()], extent)(matrix)
+    )
     size = max(float(np.max(np.abs(values))), fastest)
     limit = (ZERO_EIGENVALUE_RATIO if saddle else np.sqrt(ZERO_EIGENVALUE_RATIO)) * size
     down, up = values.real < -limit, values.real > limit

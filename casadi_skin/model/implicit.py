@@ -138,7 +138,7 @@ def _place(model: Equations, right: ca.SX) -> tuple[float, Array, Array]:
         place = float(time[0]), size * x, p
         if all(np.all(np.isfinite(np.array(part.nonzeros()))) for part in slopes.call(list(place))):
             return place
-    raise ValueError("rhs: given derivatives that are not finite at states and parameters near 1 or near 0")
+    raise ValueError(f"{model.name}: rhs: given derivatives that are not finite at states near 1 or near 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ class Implicit:
         rows, n, conditions, rates = Rows.of(model, mass, model.rhs), model.size, list[ca.SX](), list[float]()
         latest = dict[int, ca.SX]()
         if not np.any(rows.values):
-            raise ValueError("mass: given one without entries; accepted: one of rank 1 or more")
+            raise ValueError(f"{model.name}: mass: given one without entries; accepted: one of rank 1 or more")
         while rows.eliminated(plain=False, written=False)[1]:
             _, left, reduced = rows.eliminated(plain=False)
             for i in left:
@@ -182,6 +182,9 @@ class Implicit:
                 conditions.append(g)
                 latest[i] = g
                 rows.replaced[i] = True
+        if conditions and model.reversal is not None:
+            why = "given with a singular mass, whose algebraic equations are met as time goes on alone"
+            raise ValueError(f"{model.name}: reversal: {why}; accepted: a hamiltonian, or conserved quantities")
         return cls(model, model.rhs, np.array(rates), conditions, rows, latest, rows.solved())
 
     @cached_property
@@ -270,7 +273,7 @@ def complement(rows: Array) -> Array:
 def _undetermined(model: Equations, row: int, never: bool) -> str:
     """Why derivatives do not follow from the equations, in words."""
     why = "leaves nothing that moves" if never else "repeats others or says nothing of the states"
-    given = f"mass: given one with which entry {row + 1} of rhs, beside {model.state_names[row]}, {why}"
+    given = f"{model.name}: mass: given one with which entry {row + 1} of rhs, beside {model.state_names[row]}, {why}"
     return f"{given}; accepted: equations that determine the motion of every state"
 
 
@@ -278,17 +281,17 @@ def mass_matrix(given: Any, parameters: ca.SX, size: int) -> ca.SX:
     """A mass matrix as given, in CasADi's expressions; raises TypeError and ValueError for others."""
     accepted = f"{size} x {size} finite numbers, or expressions in parameters"
     try:
-        rows = given if isinstance(given, ca.SX | ca.DM | np.ndarray) else [ca.horzcat(*row) for row in given]
-        matrix = ca.SX(rows if not isinstance(rows, list) else ca.vertcat(*rows))
+        rows = (
+            given if isinstance(given, ca.SX | ca.DM | np.ndarray) else ca.vertcat(*(ca.horzcat(*row) for row in given))
+        )
+        matrix = ca.densify(ca.SX(rows))
     except (TypeError, ValueError, NotImplementedError, RuntimeError):
         raise TypeError(f"mass: given {type(given).__name__} that is no matrix; accepted: {accepted}") from None
     if matrix.shape != (size, size):
         raise ValueError(f"mass: given shape {matrix.shape}; accepted: {accepted}, a row for each equation")
-    for place, entry in enumerate(ca.densify(matrix).elements()):
-        i, j = place % size + 1, place // size + 1
-        if entry.is_constant() and not np.isfinite(float(entry)):
-            raise ValueError(f"mass: given {float(entry)} in row {i}, column {j}; accepted: {accepted}")
-        free = [symbol.name() for symbol in ca.symvar(entry) if not ca.depends_on(parameters, symbol)]
-        if free:
-            raise ValueError(f"mass: given {free[0]} in row {i}, column {j}; accepted: {accepted}")
-    return ca.densify(matrix)
+    for place, entry in enumerate(matrix.elements()):
+        strange = [symbol for symbol in ca.symvar(entry) if not ca.depends_on(parameters, symbol)]
+        if strange or (entry.is_constant() and not np.isfinite(float(entry))):
+            at = f"row {place % size + 1}, column {place // size + 1}"
+            raise ValueError(f"mass: given {(strange or [entry])[0]} in {at}; accepted: {accepted}")
+    return matrix

@@ -83,10 +83,8 @@ def size_of(start: Array) -> float:
 
 # SUNDIALS CVODES through CasADi (Hindmarsh et al. 2005): every use of it is set up, run and reported here -------------
 
-LOCAL_TOLERANCE_SHARE, TIGHTEST_LOCAL_TOLERANCE = (
-    1e-3,
-    1e-15,
-)  # measured: results of CVODES are up to 1500 of its local tolerances off
+# Measured: results of CVODES are up to 1500 of its local tolerances off.
+LOCAL_TOLERANCE_SHARE, TIGHTEST_LOCAL_TOLERANCE = 1e-3, 1e-15
 TIGHT_ITERATION = 1e-3  # share of a step's error left to the iteration; at the default, 0.1, the order falls to 5
 STEPS_PER_RADIAN = 200  # allowed per radian of the stiffest vibration: ten times the need of the tightest run
 LARGEST_OUTPUT_GAP = 100.0  # radians from output to output

@@ -58,7 +58,9 @@ class OdeModel(Equations, WithVerbs):
             object.__setattr__(self, label, value)
         check_declarations(self)
         if self.mass is not None:
-            self._solve_for_rates()
+            implicit = Implicit.of(self, self.mass, self.decay or 1.0)
+            object.__setattr__(self, "implicit", implicit)
+            object.__setattr__(self, "rhs", implicit.rhs)
         if self.checked:
             self.check_symmetries()
 
@@ -66,18 +68,6 @@ class OdeModel(Equations, WithVerbs):
         """Without the expressions: CasADi writes them by recursion, and deep ones end the process."""
         parameters = ", ".join(self.parameter_names) or "none"
         return f"{type(self).__name__}({self.name!r}: {self.full_size} states; parameters {parameters})"
-
-    def _solve_for_rates(self) -> None:
-        """Put the right-hand side of x' = ... in place of that of M x' = ..."""
-        try:
-            implicit = Implicit.of(self, self.mass, self.decay or 1.0)
-        except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from error
-        if implicit.conditions and self.reversal is not None:
-            why = "given with a singular mass, whose algebraic equations are met as time goes on alone"
-            raise ValueError(f"{self.name}: reversal: {why}; accepted: a hamiltonian, or conserved quantities")
-        object.__setattr__(self, "implicit", implicit)
-        object.__setattr__(self, "rhs", implicit.rhs)
 
     implicit: ClassVar[Implicit | None] = None
     """M x' = f of a model with a mass matrix."""

@@ -11,17 +11,11 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.equations import Equations
 from casadi_skin.model.expressions import Expression
 
-PROGRAM_CLASSES = (
-    "CallbackInternal",
-    "GenericExternal",
-    "External",
-)  # CasADi's classes of functions that are not symbolic
+# CasADi's classes of functions that are not symbolic.
+PROGRAM_CLASSES = ("CallbackInternal", "GenericExternal", "External")
 OPTIONAL_RESULTS = ("normalisation", "hamiltonian")
-RESULT_GROUPS = {
-    "outputs": "output ",
-    "conserved": "conserved ",
-    "symmetries": "symmetry ",
-}  # before names among the results
+# Before names among the results.
+RESULT_GROUPS = {"outputs": "output ", "conserved": "conserved ", "symmetries": "symmetry "}
 PLAIN_FIELDS = ("name", "order", "reversal", "half_period", "output_scale", "nominal")
 
 Model = TypeVar("Model", bound=Equations)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -302,9 +303,13 @@ class Closed:
         return there if half is None else np.concatenate([there, half[:, None] * there * half])
 
     def contraction(self, part: float) -> tuple[float, float]:
-        """Sign and logarithm of the determinant of all maps, from the logarithm over the part that is solved for."""
+        """Sign and logarithm of the determinant of all maps, from the logarithm over the part that is solved for.
+
+        Of changes that meet algebraic equations: others decay at their rates.
+        """
         sign, by_turn = (1.0, 0.0) if self.turn is None else np.linalg.slogdet(self.turn)
-        return float(sign), part / self.symmetry.value - float(by_turn)
+        by_rates = self.period * float(np.sum(self.model.implicit.rates)) if self.model.implicit else 0.0
+        return float(sign), part / self.symmetry.value - float(by_turn) + by_rates
 
     @property
     def _signs(self) -> tuple[Array, Array | None]:
@@ -432,14 +437,7 @@ def _multipliers(orbit: Closed, tolerance: float, with_rounding: bool) -> Multip
     return by_parts.but(found, as_good)
 
 
-def _of_free_changes(
-    orbit: Closed,
-    maps: Array,
-    trivial: Trivial,
-    starts: Array | None,
-    contraction: tuple[float, float] | None,
-    with_rounding: bool,
-) -> Multipliers:
+def _of_free_changes(orbit: Closed, maps: Array, trivial: Trivial, starts: Array | None, *how: Any) -> Multipliers:
     """Multipliers of changes that meet the algebraic equations, in orthonormal directions of these at starts of maps.
 
     Arguments:
@@ -447,8 +445,7 @@ def _of_free_changes(
         maps: one after another over the period, shape (maps, n, n).
         trivial: as these carry it.
         starts: of the maps, as fractions of the period; None of those over intervals.
-        contraction: sign and logarithm of the determinant of their product.
-        with_rounding: as `multipliers_along` has it.
+        how: what `multipliers_along` takes further.
     """
     problem, units, implicit = orbit.problem, orbit.units, orbit.model.implicit
     assert implicit is not None
@@ -457,15 +454,10 @@ def _of_free_changes(
     times = problem.statement.span(orbit._all_parameters)[0] + places * orbit.period
     frames = implicit.frames(times[: len(maps)], states[: len(maps)], orbit.parameters, units)
     frames = np.concatenate([frames, frames[:1]])
-    right, left = (
-        (trivial.right / units) @ frames[: len(trivial.right)],
-        (trivial.left * units) @ frames[: len(trivial.left)],
-    )
+    right, left = trivial.right / units, trivial.left * units
+    within = replace(trivial, right=right @ frames[: len(right)], left=left @ frames[: len(left)])
     maps = frames[1:].swapaxes(1, 2) @ (maps * units / units[:, None]) @ frames[:-1]
-    if contraction is not None:  # others decay at their rates
-        contraction = contraction[0], contraction[1] + orbit.period * float(np.sum(implicit.rates))
-    within = replace(trivial, right=right, left=left)
-    found = multipliers_along(maps, within, np.ones(maps.shape[1]), contraction, with_rounding)
+    found = multipliers_along(maps, within, np.ones(maps.shape[1]), *how)
     matrix = None if found.matrix is None else (frames[0] @ found.matrix @ frames[0].T) * units[:, None] / units
     return replace(found, matrix=matrix)
 
@@ -495,7 +487,7 @@ def _by_sensitivities(orbit: Closed, local: float, tolerance: float) -> Multipli
     trivial = orbit.trivial(tolerance)
     closed = replace(trivial, right=trivial.right[[0, -1]], left=trivial.left[[0, -1]])
     if orbit.conditions:
-        return _of_free_changes(orbit, matrix[None], closed, None, None, with_rounding=True)
+        return _of_free_changes(orbit, matrix[None], closed, None)
     return multipliers_along(matrix[None], closed, units)
 
 
