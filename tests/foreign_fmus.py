@@ -70,13 +70,13 @@ def changed(path: Path, target: Path, changes: Mapping[str, Change | None]) -> P
     return target
 
 
-def recompiled(path: Path, target: Path, fmi: str, old: str, new: str) -> Path:
+def recompiled(path: Path, target: Path, fmi: str, old: str, new: str, file: str = "instance.h") -> Path:
     """A copy of an FMU of ours whose binary is made of changed sources."""
     folder = target.parent / f"{target.stem}_sources"
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
         library = next(name for name in archive.namelist() if name.startswith("binaries/"))
-    header = folder / "sources" / "instance.h"
+    header = folder / "sources" / file
     text = header.read_text()
     assert old in text
     header.write_text(text.replace(old, new))

@@ -284,6 +284,13 @@ class Variables:
         return tuple(e for u in self.description.derivatives for e in _elements(u.variable))
 
     @cached_property
+    def indicators(self) -> tuple[str, ...]:
+        """Names of the event indicators; FMI 2.0 counts them from 1 alone."""
+        named = [e.name for u in self.description.eventIndicators or () for e in _elements(u.variable)]
+        count = int(self.description.numberOfEventIndicators or 0)
+        return tuple(named or (str(k) for k in range(1, count + 1)))
+
+    @cached_property
     def outputs(self) -> tuple[Element, ...]:
         """Real outputs that are neither states nor given."""
         taken = {element.name for element in (*self.states, *self.given)}
@@ -361,7 +368,7 @@ def _chosen(label: str, names: Sequence[str], variables: Sequence[Any]) -> list[
 
 
 def _check_description(path: Path, description: Any) -> None:
-    """Raises ValueError for a model without states, with too many, or with events."""
+    """Raises ValueError for a model without states or with too many."""
     strange = [entry.variable.name for entry in description.derivatives if entry.variable.derivative is None]
     if strange:
         raise ValueError(f"{path}: {strange[0]} is listed as a derivative, but of no state; accepted: derivatives")
@@ -378,9 +385,6 @@ def _check_description(path: Path, description: Any) -> None:
     for entry in description.derivatives:
         if entry.variable.shape != entry.variable.derivative.shape:
             raise ValueError(f"{path}: {entry.variable.name} and its state have other sizes; accepted: the same")
-    indicators = max(int(description.numberOfEventIndicators or 0), len(description.eventIndicators or ()))
-    if indicators:
-        raise ValueError(f"{path}: event indicators, {indicators} of them; accepted: a model without events")
 
 
 def _check_numbers(path: Path, variable: Any) -> None:

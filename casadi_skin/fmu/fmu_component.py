@@ -26,7 +26,7 @@ MOST_COMPLAINTS = 20
 DISCARD_STATUS = 2  # the status of values that cannot be computed
 COMPONENT_FUNCTIONS = (  # the first ones in the order of native/fmus.c
     "SetTime", "SetContinuousStates", "Set", "GetDerivatives", "Get", "GetDirectionalDerivative", "GetContinuousStates",
-    "Reset",
+    "GetEventIndicators", "Reset",
 )  # fmt: skip
 COMPONENT, GROUP = "iiiiiiiii", "iia"
 POINTS = "aaa" + 3 * GROUP + "aa" + "iaa" + "a"
@@ -71,12 +71,14 @@ class Component:
     """
 
     def __init__(
-        self, unpacked: Unpacked, complaints: deque[str], states: int, held: tuple[Element, ...]
+        self, unpacked: Unpacked, complaints: deque[str], states: int, held: tuple[Element, ...], indicators: int
     ) -> None:  # fmt: skip
         self._unpacked, self._complaints = unpacked, complaints
         self._two = str(unpacked.description.fmiVersion).startswith("2")
         self._held = Group.of(held)
-        self._tunable = all(element.tunable for element in held)
+        # An event elsewhere than at the start would decide anew by which equations it goes on.
+        self._tunable = all(element.tunable for element in held) and not indicators
+        self._positive = np.zeros(indicators, dtype=bool)  # event indicators at the start
         self._n = states
         self._instantiate()
 
@@ -113,6 +115,7 @@ class Component:
         self._fmu.exitInitializationMode()
         self._events()
         self._fmu.enterContinuousTimeMode()
+        self._positive = self._indicators() > 0.0
 
     def change(self, held: Array) -> None:
         """Give it other values of its parameters: at an event where they are tunable, else from the start."""
@@ -166,6 +169,17 @@ class Component:
         found = np.zeros(self._n)
         self._fmi["GetContinuousStates"](_pointer(found), self._n)
         return found
+
+    def _indicators(self) -> Array:
+        found = np.zeros(self._positive.size)
+        if found.size:
+            self._fmi["GetEventIndicators"](_pointer(found), found.size)
+        return found
+
+    def crossed(self) -> int | None:
+        """The first event indicator whose sign is not that at the start, where it is; a zero is negative in FMI."""
+        changed = np.flatnonzero((self._indicators() > 0.0) != self._positive)
+        return int(changed[0]) if changed.size else None
 
     def _give(self, to: Group, numbers: Array) -> None:
         if to.references.size:

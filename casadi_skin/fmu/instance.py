@@ -41,7 +41,7 @@ class FmuInstance:
 
     `given` are the variables that get values, in the order of `p` of its methods; states are in the FMU's order.
     `complaints` are the last messages. Raises ValueError, in one line, where it cannot be loaded or initialised, or has
-    events.
+    events in time.
     """
 
     def __init__(self, unpacked: Unpacked, variables: Variables) -> None:
@@ -59,6 +59,7 @@ class FmuInstance:
         self._finalizer = weakref.finalize(self, _close, self._components, unpacked.remove)
         self._inputs = Group.of(self.given[k] for k in self._moved)
         self._points: dict[tuple[Group | None, int], Points] = {}
+        self._place = self.points(1, None)  # where event indicators are asked for
         self.start_given = np.array([element.start for element in self.given])
         component = self._instantiated()
         held = self.start_given[self._held]
@@ -109,6 +110,27 @@ class FmuInstance:
                 if result:
                     result[:] = part
 
+    def crossed(self, t: Array, x: Array, p: Array) -> str:
+        """That an event indicator changes its sign along a path, and when: rows are places; empty where none does."""
+        at = self._place
+        with self._lock:
+            for place in zip(t, x, p, strict=True):
+                at.t[:], at.x[:], at.p[:] = place
+                self._compute(at)
+                if words := self._crossed(at):
+                    return words
+        return ""
+
+    def _crossed(self, at: Points) -> str:
+        component = self._components.get(self._keys(at)[0])
+        try:
+            changed = None if component is None else component.crossed()
+        except self._failure as error:
+            return f"event indicators cannot be had at t = {at.t[0]:.6g}: {error}"
+        if changed is None:
+            return ""
+        return f"event indicator {self.variables.indicators[changed]} changes its sign at t = {at.t[0]:.6g}"
+
     def _compute(self, points: Points) -> None:
         """Results of all rows: those of the same parameters in one call."""
         p = points.p
@@ -141,7 +163,8 @@ class FmuInstance:
 
     def _instantiated(self) -> Component:
         held = tuple(self.given[k] for k in self._held)
-        return Component(self._unpacked, self.complaints, len(self.variables.states), held)
+        sizes = len(self.variables.states), held, len(self.variables.indicators)
+        return Component(self._unpacked, self.complaints, *sizes)
 
     def _at(self, key: bytes, p: Array) -> Component | None:
         """An instance that gets the parameters of this key; None where the FMU refuses them.

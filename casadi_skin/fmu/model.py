@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
@@ -15,11 +17,21 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from casadi_skin.fmu.description import DESCRIPTION_FILE, FmuChoices, Unpacked, Variables, read_description, unpack
+from casadi_skin.fmu.description import (
+    DESCRIPTION_FILE,
+    Array,
+    FmuChoices,
+    FmuWarning,
+    Unpacked,
+    Variables,
+    read_description,
+    unpack,
+)
 from casadi_skin.fmu.function import DIFFERENCE_STEP, Derivatives, FmuFunction
 from casadi_skin.fmu.instance import FmuInstance
 from casadi_skin.model.arguments import by_name, file_path, number, short_repr
 from casadi_skin.model.expressions import expression_of
+from casadi_skin.model.jumps import STATE, Jumps, Switch
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import in_turn
 
@@ -67,6 +79,11 @@ class FmuModel(OdeModel):
         """The FMU's last messages, as where it could not compute a value, which then is NaN."""
         return tuple(self.instance.complaints)
 
+    @cached_property
+    def jumps(self) -> Jumps:
+        """Its event indicators, where it has some."""
+        return Indicators(self) if self.instance.variables.indicators else Jumps(self)
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Raises ValueError: another process reads the FMU itself."""
         raise ValueError(f"{self.name}: cannot be pickled: its equations are those of a program, the FMU")
@@ -74,6 +91,29 @@ class FmuModel(OdeModel):
     def close(self) -> None:
         """Free the FMU and remove its folder; its functions fail afterwards."""
         self.instance.close()
+
+
+class Indicators(Jumps):
+    """The event indicators of an FMU, whose equations are those between events: a change of sign is as a jump."""
+
+    model: FmuModel
+    end_motion = True
+
+    @property
+    def accepted(self) -> str:
+        """Solutions on one side of each."""
+        return "solutions along which no event indicator changes the sign that it has at the FMU's start"
+
+    @cached_property
+    def found(self) -> list[Switch]:
+        """One that the state decides, whatever their number."""
+        return [Switch("EVENT", (), ca.SX(0), STATE)]
+
+    def along(self, times: Array, states: Array, parameters: Array, by: int = STATE) -> str:
+        """That an indicator changes its sign along a path, with its name and the time; empty where none does."""
+        model, rows = self.model, np.broadcast_to(parameters, (len(times), np.shape(parameters)[-1]))
+        given = np.hstack([rows, np.array(model.signals.map(len(times))(times[None])).T])
+        return model.instance.crossed(times, states[:, np.argsort(model.instance.variables.order)], given)
 
 
 def made(unpacked: Unpacked, choices: FmuChoices, signals: Mapping[str, Signal]) -> FmuModel:
@@ -277,7 +317,7 @@ def import_fmu(
     forcing_period: float | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> FmuModel:
-    """The model in an FMU (FMI 2.0 or 3.0, Model Exchange without events), through its binary for this platform.
+    """The model in an FMU (FMI 2.0 or 3.0, Model Exchange, between events), through its binary for this platform.
 
     Jacobians are the FMU's where it offers them and they agree with differences, else by differences, whose estimated
     error is the model's `noise`. The binary runs with your permissions. It is loaded and called in a process of its
@@ -317,9 +357,14 @@ def import_fmu(
     choices = FmuChoices(order, tuple(parameters), tuple(signals), forcing_period)
     unpacked = unpack(file_path("path", path))
     try:
-        Variables(unpacked.path, unpacked.description, choices)  # names first: they run nothing
+        variables = Variables(unpacked.path, unpacked.description, choices)  # names first: they run nothing
         check_answer(unpacked, choices, at_start, time_limit)
-        return made(unpacked, choices, signals)
+        model = made(unpacked, choices, signals)
+        if variables.indicators:
+            words = "it is followed between events, and refused along a solution where one of them changes its sign"
+            many = f"{path}: event indicators, {len(variables.indicators)} of them"
+            warnings.warn(f"{many}: {words}", FmuWarning, stacklevel=3)
+        return model
     except BaseException:
         unpacked.remove()
         raise

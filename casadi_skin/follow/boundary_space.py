@@ -481,9 +481,7 @@ class BoundarySpace(ParameterSpace):
         name = str(self.method.flow) if by is None else by
         check_name("by", name, FULL_PERIOD_FLOWS)
         for words in filter(None, map(self.jump, points)):
-            raise JumpError(
-                self.model.name, f"{words}, along the orbit, where linearised equations have no multipliers"
-            )
+            raise JumpError(self.model, f"{words}, along the orbit, where linearised equations have no multipliers")
         if self.closure is not None and by not in (None, "collocation"):
             raise ValueError(f"by: given {by!r} with a boundary-value problem; accepted: collocation")
         try:

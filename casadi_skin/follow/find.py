@@ -484,12 +484,12 @@ def solution_near(space: BoundarySpace, guess: Guess) -> Solution:
         point = first_point(space, guess)
         jumps = space.jump(point)
         if jumps:
-            raise JumpError(space.model.name, f"{jumps}, along the solution")
+            raise JumpError(space.model, f"{jumps}, along the solution")
         return Solution(space, point)
     except BoundaryError as error:
         jumps = _jump_along(space, guess)
         if jumps:
-            raise JumpError(space.model.name, f"{jumps}, along the guess, near which no solution was found") from error
+            raise JumpError(space.model, f"{jumps}, along the guess, near which no solution was found") from error
         if not isinstance(error, NotReachedError) or PERIOD in space.statement.values:  # an orbit's guess is a cycle
             raise
         found, words = other_ways(space, guess)

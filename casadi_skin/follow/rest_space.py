@@ -490,7 +490,7 @@ def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilib
             found = Equilibrium(space, space.refined(problem, correction))
             words = space.jump(found.point)
             if words:
-                raise JumpError(model.name, f"{words}, at the equilibrium")
+                raise JumpError(model, f"{words}, at the equilibrium")
             return _in_own_units(found) if second else found
         worst = problem.describe_largest_residual(correction.z if finite else z)
         failure = failure or f"{name}: {correction.status.value}; {worst}"

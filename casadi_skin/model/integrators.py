@@ -12,6 +12,7 @@ import numpy as np
 
 from casadi_skin.model.equations import Array
 from casadi_skin.model.interrupts import interrupts_deferred
+from casadi_skin.model.jumps import JumpError
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native.places import Buffers
 
@@ -90,6 +91,7 @@ STEPS_PER_RADIAN = 200  # allowed per radian of the stiffest vibration: ten time
 LARGEST_OUTPUT_GAP = 100.0  # radians from output to output
 STIFF_SHARE = 1e-2  # local tolerance of BDF per tolerance: errors of steps add up
 STIFF_STEPS = 100_000  # of BDF, from output to output
+EVENT_PLACES = 2001  # of a motion that is looked at for events
 BDF_STRETCHES = 1000  # of an evolution by BDF, with an output after each: its end may need more steps than one stretch
 
 
@@ -219,10 +221,35 @@ def stiff_cvodes(
     options = CvodesOptions(local, local * size_of(start), STIFF_STEPS, stiff=True)
     implicit = model.implicit
     if implicit is None or not implicit.conditions:
-        return followed_by_cvodes(_dae_of(model), parameters, start, t, options, origin, gap)
+        dae = _dae_of(model)
+
+        def follow(times: Array) -> Trajectory:
+            return followed_by_cvodes(dae, parameters, start, times, options, origin, gap)
+
+        return _between_events(model, parameters, t, origin, follow)
     dae, matrix = implicit.semi_explicit(parameters)
     found = followed_by_cvodes(dae, parameters, matrix @ start, t, options, origin, gap)
     return replace(found, states=np.asarray(np.linalg.solve(matrix, found.states.T).T, dtype=float))
+
+
+def _between_events(
+    model: OdeModel, parameters: Array, t: Array, origin: float, follow: Callable[[Array], Trajectory]
+) -> Trajectory:
+    """The trajectory; of an FMU with events it is looked at between the times too: raises JumpError at an event."""
+    jumps = model.jumps
+    if not jumps.end_motion:
+        return follow(t)
+    grid = np.union1d(t, np.linspace(origin, t[-1], EVENT_PLACES)[1:])
+    try:
+        found = follow(grid)
+    except IntegrationError as error:
+        found = error.trajectory
+    words = jumps.along(grid[: len(found.states)], found.states, parameters)
+    if words:
+        raise JumpError(model, words)
+    if len(found.states) < grid.size:
+        return follow(t)  # which says how far it comes
+    return Trajectory(found.states[np.searchsorted(grid, t)], found.evaluations)
 
 
 def consistent(model: OdeModel, parameters: Array, start: Array, time: float = 0.0) -> Array:
@@ -321,12 +348,16 @@ def dop853_reason(solution: Any) -> str:
 def dop853(model: OdeModel, parameters: Array, start: Array, t: Array, tolerance: float) -> Trajectory:
     """States at the times t > 0; the paper's integrator. Raises IntegrationError where the step becomes too small."""
     fastest_frequency(model, parameters, start, t[-1])
-    solution = solve_dop853(model.vector_field, parameters, start, t[-1], tolerance, t)
-    states = np.asarray(solution.y).T if len(solution.t) else np.empty((0, start.size))
-    trajectory = Trajectory(states, int(solution.nfev))
-    if not solution.success:
-        raise IntegrationError("dop853", dop853_reason(solution), trajectory, t)
-    return finite_trajectory("dop853", trajectory, t)
+
+    def follow(times: Array) -> Trajectory:
+        solution = solve_dop853(model.vector_field, parameters, start, t[-1], tolerance, times)
+        states = np.asarray(solution.y).T if len(solution.t) else np.empty((0, start.size))
+        trajectory = Trajectory(states, int(solution.nfev))
+        if not solution.success:
+            raise IntegrationError("dop853", dop853_reason(solution), trajectory, times)
+        return finite_trajectory("dop853", trajectory, times)
+
+    return _between_events(model, parameters, t, 0.0, follow)
 
 
 INTEGRATORS: Mapping[str, Integrator] = {"cvodes": cvodes, "dop853": dop853}  # of any model; `model.methods` names them

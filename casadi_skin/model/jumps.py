@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import or_
-from typing import TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -62,10 +62,10 @@ SINGULAR_CODES = {
 
 
 class JumpError(ValueError):
-    """The equations jump along a solution: one line with the equation, the operation and the accepted ones."""
+    """The equations of a model jump along a solution: in one line the equation, the operation and what is accepted."""
 
-    def __init__(self, name: str, words: str) -> None:
-        super().__init__(f"{name}: {words}; accepted: {ACCEPTED_EQUATIONS}")
+    def __init__(self, model: Any, words: str) -> None:
+        super().__init__(f"{model.name}: {words}; accepted: {model.jumps.accepted}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +171,12 @@ class Jumps:
     """The operations of a model's right-hand side that may jump."""
 
     model: Equations
+    end_motion: ClassVar[bool] = False  # whether no simulation goes on beyond one
+
+    @property
+    def accepted(self) -> str:
+        """What is accepted in place of equations that jump."""
+        return ACCEPTED_EQUATIONS
 
     @cached_property
     def _found(self) -> tuple[list[ca.SX], list[Switch]]:

@@ -374,7 +374,7 @@ class ModelCoordinates(Coordinates):
         self._parts = _homogeneous(self._force, model.state)
         words = self.jump(lambda: np.sqrt(amplitude_max) * np.cos(JUMP_PHASES)[:, None] * (self.scale * self.mode))
         if words:
-            raise JumpError(model.name, f"{words}, in the linear mode at S = {amplitude_max:g}")
+            raise JumpError(model, f"{words}, in the linear mode at S = {amplitude_max:g}")
         self._squared = self._parts is not None and all(degree % 2 for degree in self._parts)
 
     def _check_mode(self) -> None:

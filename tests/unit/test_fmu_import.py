@@ -465,8 +465,7 @@ def test_fmus_that_cannot_be_used_are_refused(chain_fmu: Path, own_temporary_fol
         return two.replace(b"<InitialUnknown v", b'<EventIndicator valueReference="9" /><InitialUnknown v', 1)
 
     path = changed(chain_fmu, tmp_path / "events.fmu", {"modelDescription.xml": with_events})
-    fmi2 = "fmi2.c" in "".join(zipfile.ZipFile(chain_fmu).namelist())
-    assert refusal(path).endswith(f"event indicators, {2 if fmi2 else 1} of them; accepted: a model without events")
+    assert re.search("it cannot be initialised: fmi[23]GetEventIndicators failed", refusal(path))
     path = changed(chain_fmu, tmp_path / "cs.fmu", {"modelDescription.xml": without_exchange})
     words = "no Model Exchange, Co-Simulation alone: its solver is inside, and there is no right-hand side to ask for"
     assert words in refusal(path)
