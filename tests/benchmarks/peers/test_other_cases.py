@@ -1,15 +1,20 @@
-"""One case each beside NLvib-py and JaxCont, in one run: errors are asserted, times are printed as solves.
+"""One case each beside NLvib-py, JaxCont and CAPD, in one run: errors are asserted, times are printed as solves.
 
     q'' + 0.05 q' + q + 0.1 q^3 = 0.18 cos omega t through its resonance, beside harmonic balance
     van der Pol's cycle from mu = 1 to 3
+    a proof that the orbit of 24 sites with S = 1 exists
 
 Run with `pytest -m benchmark -s tests/benchmarks/peers/test_other_cases.py`, one thread. What is not there is skipped:
-NLvib-py is installed from its repository (commit 64ad450), jaxcont from PyPI. Errors are asked to be below 1e-8, with
-the settings that were found cheapest by hand; our tolerance is 1e-8.
+NLvib-py is installed from its repository (commit 64ad450), jaxcont from PyPI, and CAPD is built from its repository
+(commit 7310792) into the folder that CAPD_DIR names. Errors are asked to be below 1e-8, with the settings that were
+found cheapest by hand; our tolerance is 1e-8.
 """
 
 from __future__ import annotations
 
+import os
+import resource
+import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,9 +26,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from stopwatch import least
+from stopwatch import LEAST_OF, least
 
-from casadi_skin import OdeModel, find_orbit
+from casadi_skin import Chain, OdeModel, find_orbit, follow_family
 
 sys.path.append(str(Path(__file__).parents[1]))
 from ode_cases import circle, van_der_pol
@@ -33,6 +38,8 @@ pytestmark = pytest.mark.benchmark
 ASKED, REFERENCE = 1e-8, 1e-11
 DAMPING, CUBIC, FORCE, FIRST, LAST = 0.05, 0.1, 0.18, 0.5, 1.6
 MU = (1.0, 3.0)
+S, RADIUS = 1.0, 1e-12  # of the orbit to prove, of CAPD's box
+ORDER = 48  # of its Taylor series: below 47 the ends of the chain do not see each other, and no step has an enclosure
 
 
 def line(name: str, seconds: float, points: int, unit: float, error: float | None = None) -> None:
@@ -162,3 +169,38 @@ def test_a_cycle_beside_jaxcont(unit: float) -> None:
     )
     line(f"JaxCont, 40 x 6, compiled in {first / unit:.0f} units", seconds, len(values), unit, worst)
     assert worst < ASKED
+
+
+def processor_of(command: Sequence[str], given: str) -> tuple[float, str]:
+    """Least time of the processor of a program in a process of its own, and what it prints."""
+    times = []
+    for _ in range(LEAST_OF):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+        found = subprocess.run(command, input=given, capture_output=True, text=True, check=True).stdout
+        times.append(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before)
+    return min(times), found
+
+
+def test_a_proof_beside_capd(unit: float, tmp_path: Path) -> None:
+    """The same orbit by the interval Newton operator of a Poincare map; both enclosures of Omega have it."""
+    if not (folder := os.environ.get("CAPD_DIR")):
+        pytest.skip("CAPD: CAPD_DIR names no folder that CAPD was installed in")
+    orbit = follow_family(Chain(24, 1.0, 0.25, -1.0), mode=1, amplitude_max=S, tolerance=1e-11).at(S=S)
+    seconds, certificate = least(orbit.certify)
+    assert certificate.proved
+    program = tmp_path / "capd_orbit"
+    flags = subprocess.run(
+        [f"{folder}/bin/capd-config", "--cflags", "--libs"], capture_output=True, text=True, check=True
+    ).stdout.split()
+    source = Path(__file__).with_name("capd_orbit.cpp")
+    subprocess.run(["g++", "-O2", str(source), "-o", str(program), *flags], check=True)
+    given = " ".join(f"{value:.17g}" for value in orbit.profile)
+    taken, words = processor_of([str(program), f"{S:g}", f"{RADIUS:g}", f"{ORDER}"], given)
+    proved, lower, upper, widest = (float(word) for word in words.split())
+    ours = certificate.Omega
+    print(f"\n  Omega of width {ours[1] - ours[0]:.0e} here, {upper - lower:.0e} by CAPD, y(0) within {widest:.0e}")
+    line("this", seconds, 1, unit)
+    line(f"CAPD, series of order {ORDER}", taken, 1, unit)
+    assert proved == 1
+    assert lower <= ours[0]
+    assert ours[1] <= upper
