@@ -7,11 +7,16 @@ import shutil
 import tempfile
 from collections.abc import Callable, Collection, Mapping
 from importlib.resources import files
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
+from typing import cast
+
+import numpy as np
 
 from casadi_skin._version import __version__
 from casadi_skin.export.codegen import (
+    DECLARATIONS,
     EXPORT_TEMPLATES,
     LIBM_HEADERS,
     MOST_ENTRIES,
@@ -31,7 +36,6 @@ from casadi_skin.export.exported_model import (
     chosen_parts,
     exported_model,
     flow_part,
-    jacobian_part,
     model_part,
     outputs_part,
     rhs_part,
@@ -45,6 +49,9 @@ from casadi_skin.export.orbit_equations import (
     orbit_part,
     residual_part,
 )
+from casadi_skin.follow.follow import follow_family
+from casadi_skin.follow.solution import Orbit
+from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import file_path
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.result import in_turn, renamed
@@ -53,6 +60,7 @@ from casadi_skin.model.result import in_turn, renamed
 
 SPLITTING_STEPS = 96  # of the splitting in a quarter of the period: 1e-13 or better on the orbits tried
 STEPS_A_HARMONIC = 8  # of the extrapolation in the period of a model's orbit
+SHOWN_RATES = 5  # entries of a right-hand side that the program of a model without an orbit prints, or a few more
 CHAIN_S = 0.2  # amplitude of the orbit that the program of a chain alone computes
 
 
@@ -67,19 +75,39 @@ def main_text(exported: ExportedModel, parts: Collection[str]) -> str:
     else:
         blocks = [piece["orbit of a chain"]] if "orbit" in parts else []
         if "newton" in parts:
-            mode = int(exported.chain.sites) if exported.chain.g > 0 else 1  # the one that turns into an end breather
-            from_mode = with_words(piece["newton from a linear mode"], mode=mode, S=f"{CHAIN_S:g}")
+            words = {"mode": end_mode(exported.chain), "S": f"{CHAIN_S:g}"}
+            from_mode = with_words(piece["newton from a linear mode"], **words)
             blocks.append(piece["newton from the orbit"] if "orbit" in parts else from_mode)
             statics.append(piece["newton arrays"])
         if blocks and "flow" in parts:  # there is an orbit to follow the flow along
             start = piece["start from newton" if "newton" in parts else "start from the orbit"]
             blocks.append(with_words(piece["multipliers"], start=start))
             statics.append(piece["flow arrays"])
-    blocks = blocks or ([piece["right-hand side"]] if "rhs" in parts else ['    printf("states %d\\n", @P_STATES);\n'])
+    if "orbit" not in parts:
+        blocks.insert(0, piece["right-hand side" if "rhs" in parts else "sizes"])
     nominal = piece["nominal values"] if exported.parameters else ""
-    body = with_words("\n".join(blocks), nominal=nominal, steps=SPLITTING_STEPS, harmonic_steps=STEPS_A_HARMONIC)
+    body = with_words(
+        "\n".join(blocks), nominal=nominal, steps=SPLITTING_STEPS, harmonic_steps=STEPS_A_HARMONIC, shown=SHOWN_RATES
+    )
     blank = "\n" if statics else ""
     return f"{piece['head']}{''.join(statics)}{blank}int main(void)\n{{\n{body}    return 0;\n}}\n"
+
+
+def end_mode(chain: Chain) -> int:
+    """The linear mode that turns into a breather at an end."""
+    return int(chain.sites) if chain.g > 0 else 1
+
+
+def orbit_of_program(exported: ExportedModel, parts: Collection[str]) -> Orbit | None:
+    """The orbit that the example program has or computes, None where there is none."""
+    if "orbit" in parts or "newton" not in parts:
+        return exported.orbit if "orbit" in parts else None
+    assert exported.chain is not None
+    try:
+        branch = follow_family(exported.chain, end_mode(exported.chain), CHAIN_S, at=(CHAIN_S,), tolerance=1e-12)
+        return cast(Orbit, branch.at(S=CHAIN_S))
+    except (ValueError, ArithmeticError):  # the mode does not oscillate, or its family ends before
+        return None
 
 
 # README.md and CMakeLists.txt of an export ----------------------------------------------------------------------------
@@ -112,26 +140,29 @@ def readme_text(exported: ExportedModel, parts: Mapping[str, Part], sources: Col
 
 def _expected(exported: ExportedModel, parts: Mapping[str, Part]) -> str:
     """The numbers of the example program as Python has them."""
-    orbit = exported.orbit
-    if orbit is None or "orbit" not in parts:
-        if "newton" in parts:
-            return f"\nThe program follows an edge mode to S = {CHAIN_S:g} and prints its period.\n"
-        return ""
-    name, error = "period" if "newton" in parts else "orbit_period", orbit.period * orbit.Omega_error / orbit.Omega
-    lines = [f"{name} {orbit.period:.17g} (estimated error {error:.1g})"]
-    floquet = floquet_of(orbit) if "flow" in parts else ""
+    lines, model, orbit = list[str](), exported.model, orbit_of_program(exported, parts)
+    if "rhs" in parts and "orbit" not in parts:
+        x = 0.1 / np.arange(1.0, model.full_size + 1)
+        rates = model.vector_field(0.0, x, exported.parameters or np.zeros(model.parameters.numel())).full()[:, 0]
+        lines += [f"rhs_{i} {rates[i]:.17g}" for i in range(0, rates.size, 1 + rates.size // SHOWN_RATES)]
+    if orbit is not None:
+        name, error = "period" if "newton" in parts else "orbit_period", orbit.period * orbit.Omega_error / orbit.Omega
+        lines.append(f"{name} {orbit.period:.17g} (estimated error {error:.1g})")
+    floquet = floquet_of(orbit) if orbit is not None and "flow" in parts else ""
     if not isinstance(floquet, str) and exported.chain is None:
         lines.append(f"trace {float(floquet.multipliers.sum().real):.17g} (the sum of the multipliers)")
     elif not isinstance(floquet, str):
         words = f"(estimated error {floquet.error:.1g})"
         lines.append(f"largest_multiplier {floquet.max_abs_multiplier:.17g} {words}")
+    if not lines:
+        return ""
     table = "\n".join(lines)
     return f"\n## Numbers to expect\n\nComputed in Python when this was written:\n\n```\n{table}\n```\n"
 
 
 PART_MAKERS: Mapping[str, Callable[[ExportedModel], Part]] = MappingProxyType({
     "rhs": rhs_part,
-    "jacobian": jacobian_part,
+    "jacobian": attrgetter("jacobian"),
     "variational": variational_part,
     "outputs": outputs_part,
     "flow": flow_part,
@@ -204,7 +235,10 @@ def export_texts(exported: ExportedModel, chosen: Collection[str]) -> dict[str, 
         "README.md": readme_text(exported, parts, sources),
         "license.txt": files("casadi_skin.fmu").joinpath("sources", "license.txt").read_text(encoding="utf-8"),
     }
-    return {file: text.replace("@p", name).replace("@P", name.upper()) for file, text in texts.items()}
+    return {
+        file: text.replace("*restrict ", "*@P_RESTRICT ").replace("@p", name).replace("@P", name.upper())
+        for file, text in texts.items()
+    }
 
 
 def _header(exported: ExportedModel, parts: list[Part]) -> str:
@@ -212,10 +246,10 @@ def _header(exported: ExportedModel, parts: list[Part]) -> str:
     about = (
         f"{plain(exported.model.name)}: C99 written by casadi_skin {__version__}; see license.txt. The model is "
         "dimensionless. Arrays are the caller's; matrices are stored by columns, indices count from 0, and fit into an "
-        "int. Each function has an array `work` of its own length, is free of other memory, and may be called from "
-        "several threads with different arrays."
+        "int. Arrays of one call do not overlap. Each function has an array `work` of its own length, is free of other "
+        "memory, and may be called from several threads with different arrays."
     )
-    lines = [comment(about), f"#ifndef {guard}\n#define {guard}\n", "#include <stddef.h>\n", CPLUSPLUS_OPEN]
+    lines = [comment(about), f"#ifndef {guard}\n#define {guard}\n", DECLARATIONS["begin"]]
     for part in parts:
         for size in part.sizes:
             if size.value > MOST_ENTRIES:
@@ -226,12 +260,8 @@ def _header(exported: ExportedModel, parts: list[Part]) -> str:
             entries = [f"    @P_{size.suffix} = {size.value}, {comment(size.words)}" for size in part.sizes]
             last = entries.pop().replace(", /*", " /*", 1)
             lines.append("\n".join(["enum {", *entries, last, "};\n"]))
-        lines += [f"{declaration}\n" for declaration in part.declarations]
-    return "\n".join([*lines, CPLUSPLUS_CLOSE, f"#endif /* {guard} */\n"])
-
-
-CPLUSPLUS_OPEN = '#ifdef __cplusplus\nextern "C" {\n#endif\n'
-CPLUSPLUS_CLOSE = "#ifdef __cplusplus\n}\n#endif\n"
+        lines += [f"{text.rstrip()}\n" for text in (*part.declarations, *(DECLARATIONS[stem] for stem in part.files))]
+    return "\n".join([*lines, DECLARATIONS["end"], f"#endif /* {guard} */\n"])
 
 
 def _definitions(parts: list[Part]) -> str:

@@ -37,6 +37,7 @@ LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
 EXTERNAL_CLASS_NAME = "External"  # CasADi's class name of a function in a library that is loaded when it is called
 LONGEST_BLOCK = 300  # statements: shorter parts compile no faster
 C_FUNCTION_ARGUMENTS = "(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)"
+ALL_USED = "  (void)arg, (void)res, (void)iw, (void)w, (void)mem;"  # no compiler warns of those that are not
 C_KEYWORDS = frozenset(
     ("auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
      "float", "for", "goto", "if", "inline", "int", "long", "main", "register", "restrict", "return", "short",
@@ -100,7 +101,8 @@ def c_source(name: str, functions: Sequence[ca.Function], headers: Collection[st
     for header in re.findall(r"#include <(.+?)>", text):
         if header not in headers:
             raise CodegenError(f"{name}: needs {header}; accepted: functions that need libm only")
-    return _in_short_blocks(text)
+    text = _in_short_blocks(text).replace(f"{C_FUNCTION_ARGUMENTS} {{\n", f"{C_FUNCTION_ARGUMENTS} {{\n{ALL_USED}\n")
+    return text.replace("(int mem) {\n", "(int mem) {\n  (void)mem;\n")
 
 
 def check_parts(function: ca.Function) -> None:
@@ -170,6 +172,9 @@ def pieces(folder: Traversable, name: str) -> dict[str, str]:
 def with_words(text: str, **words: object) -> str:
     """A text with words in the place of `@name` each; other names stay as they are."""
     return re.sub(r"@(\w+)", lambda found: str(words.get(found[1], found[0])), text)
+
+
+DECLARATIONS = pieces(EXPORT_TEMPLATES, "declarations.h")  # of the header, by names of functions and of C files
 
 
 # Pieces of C text: arrays, strings, comments, plain functions around generated ones, and the parts of an export -------
@@ -243,12 +248,17 @@ def pattern(name: str, sparsity: ca.Sparsity, names: tuple[str, str] = BY_COLUMN
 
 @dataclass(frozen=True)
 class Call:
-    """A plain C function around a generated one: its prototype, and its own arguments and results."""
+    """A plain C function around a generated one: its own name, arguments and results."""
 
-    prototype: str
+    name: str
     function: ca.Function
     arguments: tuple[str, ...]
     results: tuple[str, ...]
+
+    @property
+    def prototype(self) -> str:
+        """Its declaration without the comment and the semicolon."""
+        return DECLARATIONS[self.name].rpartition("*/\n")[2].rstrip(";\n")
 
     @property
     def work(self) -> int:
@@ -306,11 +316,6 @@ class Part:
         definitions = (*self.definitions, *([definition] if definition else []))
         rest = ((*self.functions, *functions), (*self.files, *files))
         return Part(self.title, (*self.sizes, *sizes), declarations, definitions, *rest)
-
-
-def declared(prototype: str, words: str) -> str:
-    """A declaration with its comment."""
-    return f"{comment(words)}\n{prototype};"
 
 
 def constants(prefix: str, values: Mapping[str, tuple[float, str]]) -> tuple[str, str]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from casadi_skin.export.codegen import (
     BY_ROWS,
+    DECLARATIONS,
     MOST_ENTRIES,
     Call,
     Part,
@@ -23,7 +24,6 @@ from casadi_skin.export.codegen import (
     arrays,
     c_name,
     comment,
-    declared,
     doubles,
     pattern,
     plain,
@@ -97,6 +97,11 @@ class ExportedModel:
         if self.orbit is None:
             return TrigonometricProblem(self.flow_model, self.harmonics)
         return cast(TrigonometricProblem, self.orbit.point.problem)
+
+    @cached_property
+    def jacobian(self) -> Part:
+        """The right-hand side with its sparse Jacobian: other parts need its sizes."""
+        return jacobian_part(self)
 
     @property
     def _given(self) -> Chain | OdeModel:
@@ -177,7 +182,6 @@ def chosen_parts(exported: ExportedModel, what: Collection[str] | None) -> list[
 # Parts made of the equations of motion: right-hand side, derivatives, variational system, outputs, flow ---------------
 
 CHAIN_CONSTANTS = ("alpha", "gamma", "g")
-GIVEN_C_ARGUMENTS = "double t, const double *x, const double *p"
 
 
 def model_part(exported: ExportedModel) -> Part:
@@ -218,9 +222,7 @@ def _listed(names: tuple[str, ...]) -> str:
 def rhs_part(exported: ExportedModel) -> Part:
     """The right-hand side."""
     function = exported.model.function(f"{exported.name}_generated_rhs", ca.densify(exported.model.full_rhs))
-    prototype = f"int @p_rhs({GIVEN_C_ARGUMENTS}, double *dxdt, double *work)"
-    call = Call(prototype, function, ("&t", "x", "p"), ("dxdt",))
-    return called("Right-hand side", call, "RHS_WORK", "dx/dt at time t (STATES entries). Returns 0.")
+    return called("Right-hand side", Call("rhs", function, ("&t", "x", "p"), ("dxdt",)), "RHS_WORK")
 
 
 def jacobian_part(exported: ExportedModel) -> Part:
@@ -229,31 +231,16 @@ def jacobian_part(exported: ExportedModel) -> Part:
     dfdx = ca.jacobian(model.full_rhs, model.full_state)
     results = (ca.densify(model.full_rhs), dfdx, ca.densify(ca.jacobian(model.full_rhs, model.parameters)))
     function = model.function(f"{exported.name}_generated_jacobian", *results)
-    prototype = f"int @p_jacobian({GIVEN_C_ARGUMENTS}, double *dxdt, double *dfdx, double *dfdp, double *work)"
-    call = Call(prototype, function, ("&t", "x", "p"), ("dxdt", "dfdx", "dfdp"))
+    call = Call("jacobian", function, ("&t", "x", "p"), ("dxdt", "dfdx", "dfdp"))
     sparsity = function.sparsity_out(1)
-    words = (
-        "dx/dt, the non-zeros of df/dx by columns (JACOBIAN_NONZEROS of them; column j has entries colptr[j] to "
-        "colptr[j+1]-1 in the rows named), and df/dp, dense by columns (STATES times PARAMETERS). A result may be a "
-        "null pointer where it is not wanted. Returns 0."
-    )
     size = Size("JACOBIAN_NONZEROS", sparsity.nnz(), "non-zeros of df/dx")
-    return called("Jacobian", call, "JACOBIAN_WORK", words, size).plus(*pattern("@p_jacobian", sparsity))
+    return called("Jacobian", call, "JACOBIAN_WORK", size).plus(*pattern("@p_jacobian", sparsity))
 
 
 def variational_part(exported: ExportedModel) -> Part:
     """The variational equations, through the Jacobian."""
-    work = sum(size.value for size in jacobian_part(exported).sizes)
-    prototype = (
-        f"int @p_variational({GIVEN_C_ARGUMENTS}, int columns, const double *V,\n"
-        "                   double *dxdt, double *dVdt, double *work)"
-    )
-    words = (
-        "dx/dt and dV/dt = (df/dx) V for V of any number of columns, one after the other (STATES entries each). "
-        "Returns 0."
-    )
-    size = Size("VARIATIONAL_WORK", work, "doubles of work")
-    return Part("Variational equations", (size,), (declared(prototype, words),), files=("variational",))
+    work = sum(size.value for size in exported.jacobian.sizes)
+    return Part("Variational equations", (Size("VARIATIONAL_WORK", work, "doubles of work"),), files=("variational",))
 
 
 def outputs_part(exported: ExportedModel) -> Part:
@@ -261,9 +248,9 @@ def outputs_part(exported: ExportedModel) -> Part:
     outputs = exported.model.outputs
     results = ca.densify(ca.vertcat(*outputs.values()))
     function = exported.model.function(f"{exported.name}_generated_outputs", results)
-    call = Call(f"int @p_outputs({GIVEN_C_ARGUMENTS}, double *y, double *work)", function, ("&t", "x", "p"), ("y",))
+    call = Call("outputs", function, ("&t", "x", "p"), ("y",))
     size = Size("OUTPUTS", len(outputs), "y: " + _listed(tuple(outputs)))
-    part = called("Outputs", call, "OUTPUTS_WORK", "The outputs (OUTPUTS entries). Returns 0.", size)
+    part = called("Outputs", call, "OUTPUTS_WORK", size)
     names = f"extern const char *const @p_output_names[{len(outputs)}];"
     return part.plus(strings("@p_output_names", tuple(outputs)), names)
 
@@ -271,22 +258,12 @@ def outputs_part(exported: ExportedModel) -> Part:
 def flow_part(exported: ExportedModel) -> Part:
     """The flow with its transition matrix; for a chain in the gauge, with the multipliers."""
     model, chain = exported.flow_model, exported.chain
-    prototype = (
-        "int @p_flow(double t, double duration, int steps, double *x, double *Phi, const double *p, double *work)"
-    )
-    where = " The flow of a chain is that of the gauge: x = (q, q'), p = (kappa)." if chain is not None else ""
-    kind = "symplectic splitting of order 6" if model.order == 2 else "extrapolated midpoint rule of order 8"
-    words = (
-        f"Moves the state x (FLOW_STATES entries, p as many as FLOW_PARAMETERS) from time t on by `duration` in equal "
-        f"steps ({kind}) and gives the transition matrix Phi, by columns, unless it is a null pointer. Returns 0, or 1 "
-        f"for steps < 1.{where}"
-    )
     n = model.full_size
     sizes = (Size("FLOW_STATES", n, "positions, then velocities" if model.order == 2 else "states"),
              Size("FLOW_PARAMETERS", model.parameters.numel(), "parameters of the flow"))  # fmt: skip
-    part = Part("Flow", sizes, (declared(prototype, words),))
+    part = Part("Flow", sizes)
     if model.order == 1:
-        work = (1 + n) * n * 8 + sum(size.value for size in jacobian_part(exported).sizes)
+        work = (1 + n) * n * 8 + sum(size.value for size in exported.jacobian.sizes)
         return part.plus(sizes=(Size("FLOW_WORK", work, "doubles of work"),), files=("flow_extrapolation",))
     force = _force_call(exported.name, model)
     sparsity = force.function.sparsity_out(1)
@@ -300,7 +277,7 @@ def flow_part(exported: ExportedModel) -> Part:
     coefficients = dict(zip(("drifts", "kicks"), srkn_coefficients(), strict=True))
     part = part.plus(*arrays("@p_flow", coefficients, "Coefficients of the splitting.")).plus(
         f"{indices}\n\n{text}",
-        f"{declared(force.prototype, 'Used by the flow.')}\n{extern}",
+        f"{DECLARATIONS['force']}{extern}",
         sizes=(
             Size("FORCE_NONZEROS", sparsity.nnz(), "non-zeros of its Jacobian"),
             Size("FORCE_WIDTH", width, "how far a site acts on others"),
@@ -309,28 +286,14 @@ def flow_part(exported: ExportedModel) -> Part:
         functions=functions,
         files=("flow_splitting",),
     )
-    return part if chain is None else _with_multipliers(part, int(chain.sites))
+    if chain is None:
+        return part
+    size = Size("MULTIPLIERS_WORK", int(chain.sites * (chain.sites + 1)), "doubles of work")
+    return part.plus(sizes=(size,), files=("multipliers",))
 
 
 def _force_call(name: str, model: OdeModel) -> Call:
     time = ca.SX.sym("t") if model.time is None else model.time
     results = [ca.densify(model.rhs), ca.jacobian(model.rhs, model.state).T]  # the non-zeros by rows
     function = ca.Function(f"{name}_generated_force", [time, model.state, model.parameters], results)
-    prototype = "int @p_force(double t, const double *q, const double *p, double *force, double *dfdq, double *work)"
-    return Call(prototype, function, ("&t", "q", "p"), ("force", "dfdq"))
-
-
-def _with_multipliers(part: Part, sites: int) -> Part:
-    prototype = (
-        "int @p_multipliers(const double *Phi, double tolerance, double *mu_real, double *mu_imaginary,\n"
-        "                   double *largest, double *trivial, double *work)"
-    )
-    words = (
-        "Floquet multipliers of an orbit that starts at rest, from Phi over a quarter of its period: the SITES numbers "
-        "mu, with 2 + 4 mu = lambda + 1/lambda for the map over half the period, and the largest modulus of a "
-        "multiplier lambda^2 over the period but for the trivial pair (mu = -1), whose distance from -1 is `trivial`. "
-        "A mu that is real and in [-1, 0] within `tolerance` has modulus 1: the orbit is stable where all are. Returns "
-        "0, or 1 where the QR iteration does not converge."
-    )
-    size = Size("MULTIPLIERS_WORK", sites * (sites + 1), "doubles of work")
-    return part.plus(declaration=declared(prototype, words), sizes=(size,), files=("multipliers",))
+    return Call("force", function, ("&t", "q", "p"), ("force", "dfdq"))

@@ -6,17 +6,13 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.export.codegen import (
-    EXPORT_TEMPLATES,
     Call,
     Part,
     Size,
     arrays,
     comment,
     constants,
-    declared,
-    doubles,
     pattern,
-    pieces,
     plain,
 )
 from casadi_skin.export.exported_model import ExportedModel
@@ -24,7 +20,6 @@ from casadi_skin.export.site_loops import called
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.solve.ipopt import nlp_solver
 from casadi_skin.stability.result import Floquet
-from casadi_skin.zero.cosines import cosine_matrix
 from casadi_skin.zero.problem import Array
 
 IPOPT_HEADER = "coin-or/IpStdCInterface.h"
@@ -37,14 +32,7 @@ def residual_part(exported: ExportedModel) -> Part:
     z, residual, jacobian = problem.symbols
     arguments = [z, problem.constants_symbol]
     function = ca.Function(f"{exported.name}_generated_residual", arguments, [ca.densify(residual), jacobian])
-    prototype = "int @p_residual(const double *z, double *R, double *dRdz, double *work)"
     sparsity = function.sparsity_out(1)
-    words = (
-        "The collocation equations R(z) = 0 of periodic orbits that start at rest (EQUATIONS entries) and the "
-        "non-zeros of dR/dz by columns, in the pattern below. z holds q_n at the NODES phases Omega t = (i + 1/2) "
-        "pi/(2 NODES), site after site, then Omega, then the parameter kappa = g S; the last equation is that the sum "
-        "of rho_n^2 q_n^2 is 1 at t = 0. Returns 0."
-    )
     sizes = (
         Size("UNKNOWNS", problem.size, "entries of z"),
         Size("EQUATIONS", problem.size - 1, "entries of R"),
@@ -54,20 +42,9 @@ def residual_part(exported: ExportedModel) -> Part:
         Size("PARAMETER", problem.parameter_index, "place of kappa in z"),
         Size("RESIDUAL_NONZEROS", sparsity.nnz(), "non-zeros of dR/dz"),
     )
-    call = Call(prototype, function, ("z", "0"), ("R", "dRdz"))
-    part = called("Periodic orbits: collocation equations", call, "RESIDUAL_WORK", words, *sizes)
-    mode = declared(
-        "int @p_linear_mode(int mode, double *z)",
-        "The linear mode 1..SITES as unknowns z with kappa = 0, where a family starts. Returns 0, or 1 for a mode that "
-        "is not there or does not oscillate.",
-    )
-    positions = declared(
-        "void @p_positions(const double *z, double *q)", "Positions q_n at t = 0, where all velocities vanish."
-    )
-    at_zero = (2.0 / problem.resolution) * cosine_matrix(problem.resolution).sum(axis=0)
-    part = part.plus(*pattern("@p_residual", sparsity), files=("linear_mode",)).plus(declaration=mode)
-    text = pieces(EXPORT_TEMPLATES, "orbit_equations.c")["positions"].rstrip()
-    return part.plus(f"static {doubles('at_zero', at_zero)}\n\n{text}", positions)
+    call = Call("residual", function, ("z", "0"), ("R", "dRdz"))
+    part = called("Periodic orbits: collocation equations", call, "RESIDUAL_WORK", *sizes)
+    return part.plus(*pattern("@p_residual", sparsity), files=("linear_mode",))
 
 
 def newton_part(exported: ExportedModel) -> Part:
@@ -80,21 +57,7 @@ def newton_part(exported: ExportedModel) -> Part:
         Size("NEWTON_WORK", 4 * size + nonzeros + inner, "doubles of work"),
         Size("HALF_BANDWIDTH", width, "of the state values in dR/dz"),
     )
-    newton = declared(
-        "int @p_newton(double *z, int held, double value, double tolerance, int most, @p_newton_report *report,\n"
-        "              double *work)",
-        "Newton's method from the guess z for the orbit whose unknown `held` (OMEGA or PARAMETER) has this value, "
-        "until a step is not longer than `tolerance`, relative to the orbit, in `most` iterations at most. Returns the "
-        "status, 0 where it converged; z is changed then only.",
-    )
-    solver = declared(
-        "int @p_solve(const double *dRdz, int held, const double *z, double *b, double *work)",
-        "Used by Newton's method.",
-    )
-    words = declared("const char *@p_newton_words(int status)", "A status in words.")
-    report = pieces(EXPORT_TEMPLATES, "orbit_equations.c")["report of Newton's method"].rstrip()
-    declarations = (report, newton, words, solver)
-    return Part("Periodic orbits: Newton's method", sizes, declarations, files=("newton", "solve_band"))
+    return Part("Periodic orbits: Newton's method", sizes, files=("newton", "solve_band"))
 
 
 def ipopt_part(exported: ExportedModel) -> Part:
@@ -114,13 +77,8 @@ def ipopt_part(exported: ExportedModel) -> Part:
     start, value = ca.MX.sym("start", size), ca.MX.sym("value")
     solved = solver(x0=start, p=value, lbg=0, ubg=0)
     function = ca.Function(f"{exported.name}_generated_ipopt", [start, value], [solved["x"], solved["g"]])
-    prototype = "int @p_ipopt(const double *guess, double kappa, double *z, double *R, double *work)"
-    words = (
-        "The orbit with this kappa by Ipopt, from a guess: unknowns z and the residuals R of the equations (UNKNOWNS "
-        "entries), which the caller checks. Needs libipopt; not for several threads at once. Returns 0."
-    )
-    call = Call(prototype, function, ("guess", "&kappa"), ("z", "R"))
-    return called("Periodic orbits: Ipopt", call, "IPOPT_WORK", words)
+    call = Call("ipopt", function, ("guess", "&kappa"), ("z", "R"))
+    return called("Periodic orbits: Ipopt", call, "IPOPT_WORK")
 
 
 # Converged orbits ---------------------------------------------------------------------------------------------------
@@ -154,11 +112,7 @@ def _orbit_of_chain(orbit: Orbit, with_unknowns: bool) -> Part:
     if with_unknowns:
         unknowns = "The same orbit as unknowns of the collocation equations."
         part = part.plus(*arrays("@p_orbit", {"z": orbit.point.z}, unknowns))
-    words = (
-        "Displacements and velocities of the sites at time t in physical coordinates; either may be a null pointer. "
-        "Returns 0."
-    )
-    return part.plus(declaration=declared("int @p_orbit(double t, double *y, double *velocity)", words))
+    return part
 
 
 def _orbit_of_model(orbit: Orbit) -> Part:
@@ -177,9 +131,7 @@ def _orbit_of_model(orbit: Orbit) -> Part:
         "x_n(t) = sum of a_kn cos(2 pi k t/T) + b_kn sin(2 pi k t/T), k = 0..HARMONICS: a_kn and b_kn at place "
         "k ORBIT_STATES + n. Where the model is forced, t is its time."
     )
-    part = part.plus(*arrays("@p_orbit", {"cosines": cosines, "sines": sines}, words))
-    words = "x at time t and its time derivative; either may be a null pointer. Returns 0."
-    return part.plus(declaration=declared("int @p_orbit(double t, double *x, double *dxdt)", words))
+    return part.plus(*arrays("@p_orbit", {"cosines": cosines, "sines": sines}, words))
 
 
 def fourier_series(orbit: Orbit) -> tuple[Array, Array]:

@@ -1,21 +1,25 @@
 """Scalar equations as C with loops over sites, where rows repeat with the indices of their numbers moved.
 
-Every result is a list of rows, each a small expression of time, states and parameters. Rows that are the same but for
-constants and for indices that go on by the same steps become one loop; constants that differ become a table. What
-does not change in a loop is computed before it.
+Every result is a list of rows, r[i] = f(t, x, p), each a small expression. Rows that are the same but for constants and
+for indices that go on by the same strides become one loop; constants that differ become a table. Rows and loops are
+joined in the same way: a line of cells of a plane, its inner cells and those at its ends, repeats from line to line. An
+index in loops i, j, k is first + a i + b j + c k. What does not change in a loop is computed before it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
+from typing import TypeAlias
 
 import casadi as ca
 
-from casadi_skin.export.codegen import Call, Part, Size, declared, filled
+from casadi_skin.export.codegen import DECLARATIONS, Call, Part, Size, filled
 
-LONGEST_PERIOD = 12  # rows that repeat together, as those of the sites of one cell
+LONGEST_PERIOD = 40  # rows or loops that repeat together, as those of the sites of one cell
+LOOP_VARIABLES = "ijklmno"  # from the outermost loop inwards; more than seven need LEAST_REPEATS**8 rows
 LEAST_REPEATS = 5  # fewer are written one by one
 MOST_STATEMENTS = 1500  # beyond, a compiler takes its time: CasADi's code is cut into parts
 C_UNARY = {
@@ -35,29 +39,59 @@ C_BINARY = {
     getattr(ca, f"OP_{name.upper()}"): f"{name}({{0}}, {{1}})"
     for name in ("pow", "fmod", "copysign", "fmin", "fmax", "atan2", "hypot", "remainder")
 }  # fmt: skip
-Leaf = tuple[int, float]  # number of the argument and index in it; or CONSTANT_PLACE and the value
+Numbers: TypeAlias = tuple[float, ...]
+Leaf = tuple[int, Numbers]  # an argument and the index in it; CONSTANT and its values in the order of the loops around
 Step = tuple[int, tuple[int, ...]]  # an operation on earlier results, which are numbered after the leaves
-CONSTANT_PLACE = -1
+CONSTANT, RESULT = -1, -2
 
 
 @dataclass(frozen=True)
 class Row:
-    """A scalar expression: leaves in the order in which they are met, then operations; the last one is its value."""
+    """A scalar expression: the place of the result, leaves in the order in which they are met, then operations.
+
+    The last operation gives its value. Rows that are `exact` are only joined with those of the same constants.
+    """
 
     leaves: tuple[Leaf, ...]
     steps: tuple[Step, ...]
+    exact: bool = False
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """The common part of the rows of one loop: all but the indices and the constants."""
-        return tuple(argument for argument, _ in self.leaves), self.steps
+        """The common part of the rows of one loop: all but the indices, and the constants unless they are exact."""
+        return tuple(leaf if self.exact and leaf[0] == CONSTANT else leaf[0] for leaf in self.leaves), self.steps
+
+    @property
+    def cost(self) -> int:
+        """Statements."""
+        return len(self.steps) + 1
 
 
-def called(title: str, call: Call, size: str, words: str, *more: Size) -> Part:
+@dataclass(frozen=True)
+class Loop:
+    """Rows and loops that repeat: `leaves` are those of all of them the first time, `strides` go to the next time."""
+
+    repeats: int
+    body: tuple[Row | Loop, ...]
+    leaves: tuple[Leaf, ...]
+    strides: tuple[int, ...]
+
+    @cached_property
+    def shape(self) -> tuple[object, ...]:
+        """The common part of the loops of one loop."""
+        return self.repeats, self.strides, tuple(item.shape for item in self.body)
+
+    @property
+    def cost(self) -> int:
+        """Statements."""
+        return sum(item.cost for item in self.body)
+
+
+def called(title: str, call: Call, size: str, *more: Size) -> Part:
     """The part that is one function: with loops over sites where it can be, else one that CasADi generates."""
     text, functions, work = definition(call)
     sizes = (*more, Size(size, work, "doubles of work"))
-    return Part(title, sizes, (declared(call.prototype, words),), (text,), functions)
+    return Part(title, sizes, (DECLARATIONS[call.name],), (text,), functions)
 
 
 def definition(call: Call) -> tuple[str, tuple[ca.Function, ...], int]:
@@ -72,17 +106,14 @@ def with_loops(call: Call) -> str | None:
     if results is None:
         return None
     lines, tables = [f"{call.prototype}\n{{"], list[str]()
-    written = 0
-    for name, rows in zip(call.results, results, strict=True):
-        body: list[str] = []
-        for segment in _segments(rows):
-            prefix = f"{call.function.name()}_{len(tables)}"
-            body += segment.text(name, call.arguments, prefix, tables)
-            written += sum(len(row.steps) + 1 for row in segment.rows)
-        if written > MOST_STATEMENTS:
-            return None
+    nests = [_nest(rows) for rows in results]
+    if sum(item.cost for nest in nests for item in nest) > MOST_STATEMENTS:
+        return None
+    writer = Writer(call.arguments, call.function.name(), tables)
+    for name, nest in zip(call.results, nests, strict=True):
+        body = writer.text(name, nest)
         lines += body if len(call.results) == 1 else [f"    if ({name}) {{", *(f"    {line}" for line in body), "    }"]
-    used = {index for rows in results for row in rows for index, _ in row.leaves if index != CONSTANT_PLACE}
+    used = {index for rows in results for row in rows for index, _ in row.leaves}
     idle = sorted(set(range(len(call.arguments))) - used)
     unused = [f"    (void){call.arguments[i].lstrip('&')};" for i in idle if call.arguments[i] != "0"]
     return "\n".join([*tables, *lines[:1], *unused, "    (void)work;", *lines[1:], "    return 0;\n}"])
@@ -109,7 +140,7 @@ def _results(function: ca.Function) -> list[list[Row]] | None:
         if operation == ca.OP_INPUT:
             work[to[0]] = node(("leaf", given[0], given[1]))
         elif operation == ca.OP_CONST:
-            work[to[0]] = node(("leaf", CONSTANT_PLACE, function.instruction_constant(k)))
+            work[to[0]] = node(("leaf", CONSTANT, function.instruction_constant(k)))
         elif operation == ca.OP_OUTPUT:
             places[to[0]][to[1]] = work[given[0]]
         elif operation in C_UNARY:
@@ -118,13 +149,13 @@ def _results(function: ca.Function) -> list[list[Row]] | None:
             work[to[0]] = node((operation, work[given[0]], work[given[1]]))
         else:
             return None
-    return [[_row(nodes, place) for place in entries] for entries in places]
+    return [[_row(nodes, root, place) for place, root in enumerate(entries)] for entries in places]
 
 
-def _row(nodes: Sequence[tuple[object, ...]], root: int) -> Row:
+def _row(nodes: Sequence[tuple[object, ...]], root: int, place: int) -> Row:
     """Operations and leaves of one result, in the order of a walk from its root."""
     if root < 0:
-        return Row(((CONSTANT_PLACE, 0.0),), ())
+        return Row(((RESULT, (place,)), (CONSTANT, (0.0,))), ())
     order: list[int] = []
     seen, stack = set[int](), [(root, False)]
     while stack:
@@ -142,117 +173,139 @@ def _row(nodes: Sequence[tuple[object, ...]], root: int) -> Row:
         (int(nodes[at][0]), tuple(places[int(child)] for child in nodes[at][1:]))  # type: ignore[call-overload]
         for at in order if nodes[at][0] != "leaf"
     )  # fmt: skip
-    return Row(tuple((int(nodes[at][1]), nodes[at][2]) for at in leaves), steps)  # type: ignore[call-overload, misc]
+    met = ((int(nodes[at][1]), (nodes[at][2],)) for at in leaves)  # type: ignore[call-overload]
+    return Row(((RESULT, (place,)), *met), steps)  # type: ignore[arg-type]
 
 
 # Loops ----------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Segment:
-    """Rows `first` on that repeat: `rows` are those of the first time, `indices` what the leaves are each time.
+def _nest(rows: Sequence[Row]) -> list[Row | Loop]:
+    """The rows in order as loops, in loops: with constants that differ in tables, or apart where that is shorter."""
+    found = []
+    for exact in (False, True):
+        items: list[Row | Loop] = [replace(row, exact=exact) for row in rows]
+        before = len(items) + 1
+        while len(items) < before:  # lines of a plane are joined when they are loops
+            before = len(items)
+            for period in range(1, LONGEST_PERIOD + 1):
+                items = list(_joined(items, period))
+        entries = sum(len(values) for item in items for _, values in item.leaves if len(set(values)) > 1)
+        found.append((sum(item.cost for item in items) + entries, items))
+    return min(found, key=lambda choice: choice[0])[1]
 
-    An index is (first, step) of an argument's entries; of constants it is the list of values.
+
+def _joined(items: Sequence[Row | Loop], period: int) -> Iterator[Row | Loop]:
+    """The items in order, as loops where so many of them repeat.
+
+    Copies are taken two at a time: of one at a time gcc makes `rep movs`, which takes longer to begin than to copy.
     """
-
-    first: int
-    repeats: int
-    rows: tuple[Row, ...]
-    values: tuple[tuple[tuple[float, ...], ...], ...]  # of each row, of each leaf, each time
-
-    def text(self, result: str, arguments: Sequence[str], prefix: str, tables: list[str]) -> list[str]:
-        """Lines of C, with tables of the constants that change."""
-        before, inside, stores = list[str](), list[str](), list[str]()
-        for j, (row, values) in enumerate(zip(self.rows, self.values, strict=True)):
-            names, fixed = list[str](), list[bool]()
-            for (argument, _), each in zip(row.leaves, values, strict=True):
-                word, constant = self._leaf(argument, each, arguments, prefix, tables)
-                if constant and "[" in word and self.repeats > 1:  # for the compiler, a result might change it
-                    before.append(f"const double h{j}_{len(names)}_ = {word};")
-                    word = f"h{j}_{len(names)}_"
-                names.append(word)
-                fixed.append(constant)
-            for k, (operation, of) in enumerate(row.steps):
-                form = (C_UNARY | C_BINARY)[operation].format(*(names[i] for i in of))
-                constant = self.repeats > 1 and all(fixed[i] for i in of)
-                name = f"{'h' if constant else 'v'}{j}_{k}"
-                (before if constant else inside).append(f"const double {name} = {form};")
-                names.append(name)
-                fixed.append(constant)
-            place = self.first + j
-            where = f"{len(self.rows)} * i + {place}" if len(self.rows) > 1 else f"i + {place}" if place else "i"
-            stores.append(f"{result}[{where if self.repeats > 1 else place}] = {names[-1]};")
-        if self.repeats == 1 and not inside:
-            return [f"    {line}" for line in stores]
-        if self.repeats == 1:
-            return ["    {", *(f"        {line}" for line in (*inside, *stores)), "    }"]
-        loop = [f"for (i = 0; i < {self.repeats}; i++) {{", *(f"    {line}" for line in (*inside, *stores)), "}"]
-        return ["    {", *(f"        {line}" for line in (*before, "int i;", *loop)), "    }"]
-
-    def _leaf(
-        self, argument: int, values: tuple[float, ...], arguments: Sequence[str], prefix: str, tables: list[str]
-    ) -> tuple[str, bool]:
-        """A number in C, and whether it is the same each time."""
-        if argument == CONSTANT_PLACE:
-            if all(value == values[0] for value in values):
-                return _number(values[0]), True
-            name = f"{prefix}_c{len(tables)}"
-            tables.append(f"static const double {name}[{len(values)}] = {{\n{filled(map(_number, values))}}};\n")
-            return f"{name}[i]", False
-        array = arguments[argument]
-        if array == "0":
-            return "0.0", True
-        if array.startswith("&"):
-            return array[1:], True
-        first = int(values[0])
-        step = int(values[1]) - first if self.repeats > 1 else 0
-        if step == 0:
-            return f"{array}[{first}]", True
-        factor = "i" if step == 1 else f"{step} * i"
-        return f"{array}[{factor} + {first}]" if first else f"{array}[{factor}]", False
-
-
-def _segments(rows: Sequence[Row]) -> Iterator[Segment]:
-    """The rows in order, as loops where they repeat."""
+    known: dict[object, int] = {}
+    shapes = [known.setdefault(item.shape, len(known)) for item in items]
     at = 0
-    while at < len(rows):
-        best = 1, 1
-        for period in range(1, LONGEST_PERIOD + 1):
-            repeats = _repeats(rows, at, period)
-            if repeats >= LEAST_REPEATS and repeats * period > best[0] * best[1]:
-                best = period, repeats
-        period, repeats = best
-        shown = tuple(rows[at : at + period])
-        values = tuple(
-            tuple(tuple(rows[at + j + k * period].leaves[i][1] for k in range(repeats)) for i in range(len(row.leaves)))
-            for j, row in enumerate(shown)
-        )
-        yield Segment(at, repeats, shown, values)
-        at += period * repeats
+    while at < len(items):
+        repeats = 1 if period == 1 and items[at].cost == 1 else _repeats(items, shapes, at, period)
+        taken = period * repeats if repeats >= LEAST_REPEATS else 1
+        yield items[at] if taken == 1 else _loop(items[at : at + taken], repeats)
+        at += taken
 
 
-def _repeats(rows: Sequence[Row], at: int, period: int) -> int:
-    """How often the rows from a place on repeat with this period, indices going on by the same steps."""
+def _repeats(items: Sequence[Row | Loop], shapes: Sequence[int], at: int, period: int) -> int:
+    """How often the items from a place on repeat with this period, indices going on by the same strides."""
     count = 1
-    while at + (count + 1) * period <= len(rows) and all(
-        _goes_on([rows[at + k * period + j] for k in sorted({0, 1, count - 1, count})]) for j in range(period)
+    while shapes[at : at + period] == shapes[(to := at + count * period) : to + period] and all(
+        count == 1 or _goes_on([items[at + k * period + j] for k in (0, 1, count - 1, count)]) for j in range(period)
     ):
         count += 1
     return count
 
 
-def _goes_on(rows: list[Row]) -> bool:
-    """Whether the last of rows number 0, 1, ..., k - 1 and k goes on as the others."""
-    first, last = rows[0], rows[-1]
-    if first.shape != last.shape:
-        return False
-    if len(rows) == 2:
-        return True
-    second, before = rows[1], rows[-2]
+def _goes_on(items: Sequence[Row | Loop]) -> bool:
+    """Whether of items of one shape the last follows the one before it as the second follows the first."""
     return all(
-        a[0] == CONSTANT_PLACE or d[1] - c[1] == b[1] - a[1]
-        for a, b, c, d in zip(first.leaves, second.leaves, before.leaves, last.leaves, strict=True)
+        a[0] == CONSTANT or d[1][0] - c[1][0] == b[1][0] - a[1][0]
+        for a, b, c, d in zip(*(item.leaves for item in items), strict=True)
     )
+
+
+def _loop(items: Sequence[Row | Loop], repeats: int) -> Loop:
+    period = len(items) // repeats
+    times = [[leaf for item in items[k * period : (k + 1) * period] for leaf in item.leaves] for k in range(repeats)]
+    leaves, strides = list[Leaf](), list[int]()
+    for argument, first, *rest in ((each[0][0], *(values for _, values in each)) for each in zip(*times, strict=True)):
+        constant = argument == CONSTANT
+        leaves.append((argument, sum(rest, first) if constant else first))
+        strides.append(0 if constant else int(rest[0][0] - first[0]))
+    return Loop(repeats, tuple(items[:period]), tuple(leaves), tuple(strides))
+
+
+class Writer:
+    """Rows and loops as lines of C, with tables of the constants that change; names are unique in a function."""
+
+    def __init__(self, arguments: Sequence[str], prefix: str, tables: list[str]) -> None:
+        self.arguments, self.prefix, self.tables = arguments, prefix, tables
+        self.rows, self.before = 0, list[str]()
+
+    def text(self, result: str, items: Sequence[Row | Loop]) -> list[str]:
+        """The lines that compute one result."""
+        lines = list[str]()
+        for item in items:
+            self.before = []  # what does not change in the loop
+            body = self._lines(result, item, item.leaves, [()] * len(item.leaves), ())
+            lines += [f"    {line}" for line in (*self.before, *body)]
+        return lines
+
+    def _lines(
+        self, result: str, item: Row | Loop, leaves: Sequence[Leaf], strides: Sequence[tuple[int, ...]],
+        around: tuple[int, ...],
+    ) -> list[str]:  # fmt: skip
+        """An item in loops with so many repeats each; its leaves with the strides of each of them."""
+        if isinstance(item, Row):
+            words = [self._word(result, leaf, each, around) for leaf, each in zip(leaves, strides, strict=True)]
+            return self._row(item, words, around)
+        inside, at, i = list[str](), 0, LOOP_VARIABLES[len(around)]
+        within = [(*each, stride) for each, stride in zip(strides, item.strides, strict=True)]
+        for part in item.body:
+            to = at + len(part.leaves)
+            inside += self._lines(result, part, leaves[at:to], within[at:to], (*around, item.repeats))
+            at = to
+        return [f"for (int {i} = 0; {i} < {item.repeats}; {i}++) {{", *(f"    {line}" for line in inside), "}"]
+
+    def _row(self, row: Row, words: Sequence[tuple[str, bool]], around: tuple[int, ...]) -> list[str]:
+        """Statements of a row from its leaves in C, each with whether it is the same each time."""
+        (place, _), *known = words
+        lines, number = list[str](), self.rows
+        self.rows += 1
+        for k, (operation, of) in enumerate(row.steps):
+            form = (C_UNARY | C_BINARY)[operation].format(*(known[i][0] for i in of))
+            constant = bool(around) and all(known[i][1] for i in of)
+            name = f"{'h' if constant else 'v'}{number}_{k}"
+            (self.before if constant else lines).append(f"const double {name} = {form};")
+            known.append((name, constant))
+        return [*lines, f"{place} = {known[-1][0]};"]
+
+    def _word(self, result: str, leaf: Leaf, strides: tuple[int, ...], around: tuple[int, ...]) -> tuple[str, bool]:
+        """A number in C, and whether it is the same each time."""
+        argument, values = leaf
+        if argument == CONSTANT and len(set(map(repr, values))) == 1:
+            return _number(values[0]), True
+        if argument == CONSTANT:
+            name = f"{self.prefix}_c{len(self.tables)}"
+            self.tables.append(f"static const double {name}[{len(values)}] = {{\n{filled(map(_number, values))}}};\n")
+            inner = list(accumulate(around[:0:-1], lambda a, b: a * b, initial=1))
+            return f"{name}[{_index(0, inner[::-1])}]", False
+        array = result if argument == RESULT else self.arguments[argument]
+        if array == "0":
+            return "0.0", True
+        if array.startswith("&"):
+            return array[1:], True
+        return f"{array}[{_index(int(values[0]), strides)}]", not any(strides)
+
+
+def _index(first: int, strides: Sequence[int]) -> str:
+    pairs = zip(strides, LOOP_VARIABLES, strict=False)
+    terms = [i if stride == 1 else f"{stride} * {i}" for stride, i in pairs if stride]
+    return " + ".join([*terms, *([str(first)] if first or not terms else [])])
 
 
 def _number(value: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import resource
 import shutil
 import subprocess
@@ -184,7 +185,15 @@ def test_models_of_second_order_and_in_mx(tmp_path: Path) -> None:
     field = matrix @ z + ca.vertcat(p[0], 0, p[1] * z[0] * z[1])
     linear = OdeModel("linear", z, field, p, state_labels=("a", "b", "c"))
     export_c(linear, tmp_path / "mx")
-    assert printed(compiled(tmp_path / "mx", "gcc", *SANITIZED)).keys() == {"a", "b", "c", "trace"}
+    assert printed(compiled(tmp_path / "mx", "gcc", *SANITIZED)).keys() == {
+        "a",
+        "b",
+        "c",
+        "trace",
+        "rhs_0",
+        "rhs_1",
+        "rhs_2",
+    }
     c, f = Library(tmp_path / "mx", "linear"), np.zeros(3)
     c.call("rhs", 0.0, np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.25]), f, c.work("RHS_WORK"))
     np.testing.assert_allclose(f, [2.5, 5.0, -8.5])
@@ -254,6 +263,25 @@ def test_newton_tells_what_is_wrong_and_keeps_the_guess(library: Library, orbit:
         np.testing.assert_array_equal(z, guess)
 
 
+def expected(directory: Path) -> dict[str, float]:
+    """The numbers that the README.md of an export has from Python."""
+    table = (directory / "README.md").read_text().partition("## Numbers to expect")[2].split("```")[1]
+    return {line.split()[0]: float(line.split()[1]) for line in table.strip().splitlines()}
+
+
+def test_programs_without_an_orbit_print_the_numbers_of_their_readme(tmp_path: Path) -> None:
+    """Of a chain that has no orbit, whose mode does not oscillate: its right-hand side alone."""
+    for name, model in {"forced": forced_oscillator(), "chain": Chain(9, -3.0, 0.25, -1.0)}.items():
+        directory = export_c(model, tmp_path / name, ["rhs"], name=name)
+        found = printed(compiled(directory))
+        assert expected(directory) == pytest.approx(found, rel=1e-15)
+        assert len(found) > 1
+    wanted = {"rhs_0": 0.05, "rhs_1": -0.2 * 0.05 - 0.1 - 0.1**3 + 0.5}
+    assert expected(tmp_path / "forced") == pytest.approx(wanted, rel=1e-14)
+    still = export_c(Chain(9, -3.0, 0.25, -1.0), tmp_path / "still")
+    assert set(expected(still)) == {"rhs_0", "rhs_4", "rhs_8", "rhs_12", "rhs_16"}
+
+
 @pytest.mark.parametrize(
     ("sites", "gamma", "g", "flags"),
     [
@@ -269,6 +297,8 @@ def test_chains_from_their_linear_modes(sites: int, gamma: float, g: float, flag
     chain = Chain(sites, 1.0, gamma, g)
     export_c(chain, tmp_path / "c")
     found = printed(compiled(tmp_path / "c", "gcc", *flags))
+    for name, value in expected(tmp_path / "c").items():
+        assert found[name] == pytest.approx(value, rel=1e-13, abs=1e-15), name
     mode = sites if g > 0 else 1
     orbit = follow_family(chain, mode=mode, amplitude_max=0.2, at=(0.2,), tolerance=1e-12).at(S=0.2)
     assert abs(found["period"] / orbit.period - 1) < 1e-13
@@ -373,6 +403,14 @@ def test_valgrind_finds_nothing(exported: Path, tmp_path: Path) -> None:
     assert printed(program, "valgrind", "-q", "--error-exitcode=9", "--leak-check=full")["iterations"] <= 5
 
 
+def test_arrays_of_a_call_do_not_overlap_and_headers_are_those_of_cplusplus_too(exported: Path) -> None:
+    header = (exported / "chain.h").read_text()
+    declared = " ".join(re.findall(r"^(?:int|void) [^;]+;", header, re.MULTILINE))
+    assert declared.count("double *") == declared.count("double *CHAIN_RESTRICT ") > 30
+    command = ["g++", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "-x", "c++", "chain.h"]
+    subprocess.run(command, check=True, cwd=exported)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_code_does_not_grow_and_a_thousand_sites_compile_in_seconds(compiler: str, tmp_path: Path) -> None:
@@ -398,7 +436,7 @@ def test_long_blocks_in_parts_compute_the_same(tmp_path: Path) -> None:
     source = c_source("lengthy", [outer])
     assert "_part1(" in source
     (tmp_path / "lengthy.c").write_text(source)
-    flags = [*STRICT, "-Wno-unused-parameter", *SANITIZED[:2], "-shared", "-fPIC"]
+    flags = [*STRICT, *SANITIZED[:2], "-shared", "-fPIC"]
     command = ["gcc", *flags, "-o", "lengthy.so", "lengthy.c", "-lm"]
     subprocess.run(command, check=True, cwd=tmp_path)
     compiled_function = ca.external("outer", str(tmp_path / "lengthy.so"))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import resource
 import shutil
+import subprocess
 from pathlib import Path
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 import pytest
-from c_programs import Library
+from c_programs import COMPILERS, Library
 
 from casadi_skin import Bond, Lattice, OdeModel, Site, export_c
 
@@ -44,13 +48,63 @@ def test_a_lattice_of_two_sites_a_cell_with_values_by_cell(tmp_path: Path) -> No
     assert "static const double" in text  # the stiffness by cell
 
 
-@pytest.mark.slow
-def test_a_lattice_in_the_plane_and_a_ring(tmp_path: Path) -> None:
-    bonds = [Bond("a", "a", (1, 0)), Bond("a", "a", (0, 1), force="d^2")]
-    plane = Lattice([9, 8], [Site("a", onsite="y^3")], bonds)
-    agree(plane, tmp_path / "plane", "plane")
+def code(source: Path, name: str) -> str:
+    """The functions of a source, without its tables of names and structure."""
+    return source.read_text().partition(f"int {name}_rhs(")[2].partition("const int ")[0]
+
+
+def plane(cells: list[int], boundary: Literal["fixed", "free", "periodic"] = "fixed") -> Lattice:
+    bonds = [Bond("a", "a", (1, 0), gain=("1 - r", "1 + r")), Bond("a", "a", (0, 1), force="d + 0.1*d^3")]
+    return Lattice(cells, [Site("a", onsite="k*y + y^3")], bonds, boundary, parameters={"k": 1.0, "r": 0.25})
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "free", "periodic"])
+def test_planes_are_loops_in_both_directions(boundary: Literal["fixed", "free", "periodic"], tmp_path: Path) -> None:
+    text = agree(plane([9, 14], boundary), tmp_path / "c", "plane")
+    inner = text.partition("int plane_rhs(")[2].partition("int plane_jacobian(")[0]
+    assert "    for (int i = 0; i < 7; i++) {" in inner  # lines between the outer ones, and cells between their ends
+    assert "        for (int j = 0; j < 12; j++) {" in inner
+    assert "+ 15] - x[14 * i + j + 14]" in inner or "x[14 * i + j + 15] - " in inner
+    other = export_c(plane([21, 30], boundary), tmp_path / "other", ["rhs", "jacobian"], name="plane")
+    assert len(code(other / "plane.c", "plane")) < 1.02 * len(code(tmp_path / "c" / "plane.c", "plane")) < 45_000
+
+
+def test_planes_of_two_sites_a_cell_and_a_ring(tmp_path: Path) -> None:
+    """A honeycomb whose stiffness is that of the cell, in a table of loops in loops; and a chain that is closed."""
+    stiffness = [[1.0 + 0.01 * (i**2 + j) for j in range(10)] for i in range(8)]
+    sites = [Site("a", onsite="k*y + y^3"), Site("b", onsite="sin(y)")]
+    bonds = [Bond("a", "b", (0, 0)), Bond("b", "a", (1, 0), force="d^2"), Bond("b", "a", (0, 1), force="exp(d) - 1")]
+    text = agree(Lattice([8, 10], sites, bonds, parameters={"k": stiffness}), tmp_path / "plane", "plane")
+    assert "[9 * i + j]" in text  # the stiffness of the inner cells
     ring = Lattice(20, [Site("a")], [Bond("a", "a", (1,), force="d + 0.3*d^2")], "periodic")
     agree(ring, tmp_path / "ring", "ring")
+
+
+def test_a_block_in_space_is_loops_in_three_directions(tmp_path: Path) -> None:
+    """With the stiffness of every cell in tables: their indices go through all three."""
+    cells = (8, 9, 10)
+    x, stiffness = ca.SX.sym("x", math.prod(cells)), np.random.default_rng(4).uniform(1.0, 2.0, cells)
+
+    def at(*cell: int) -> ca.SX:
+        inside = all(0 <= place < size for place, size in zip(cell, cells, strict=True))
+        return x[int(np.ravel_multi_index(cell, cells))] if inside else 0
+
+    rates = [
+        at(i - 1, j, k) + at(i + 1, j, k) + at(i, j - 1, k) + at(i, j + 1, k) + at(i, j, k - 1) - c * at(i, j, k) ** 3
+        for (i, j, k), c in np.ndenumerate(stiffness)
+    ]
+    assert "[63 * i + 9 * j + k]" in agree(OdeModel("block", x, ca.vertcat(*rates)), tmp_path / "c", "block")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_a_large_plane_compiles_in_a_second(compiler: str, tmp_path: Path) -> None:
+    """Processor time; every row on its own took gcc half a minute."""
+    source = export_c(plane([60, 60]), tmp_path / "c", ["rhs", "jacobian"], name="plane") / "plane.c"
+    assert len(code(source, "plane")) < 45_000
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    subprocess.run([compiler, "-std=c99", "-O2", "-c", str(source), "-o", str(tmp_path / "o.o")], check=True)
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 1
 
 
 def test_every_operation_has_its_meaning(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ static int field(double t, const double *X, int columns, const double *p, double
 }
 
 /* The state after a step in n substeps of the midpoint rule with Gragg's smoothing at the end; m entries. */
-static int midpoint(double t, double step, int n, const double *X, int columns, const double *p, double *result,
-                    double *scratch, double *work, size_t m)
+static int midpoint(double t, double step, int n, const double *restrict X, int columns, const double *p,
+                    double *restrict result, double *restrict scratch, double *work, size_t m)
 {
     double *before = scratch, *here = scratch + m, *F = scratch + 2 * m, h = step / n;
     size_t i;
@@ -36,7 +36,8 @@ static int midpoint(double t, double step, int n, const double *X, int columns, 
     return failed;
 }
 
-int @p_flow(double t, double duration, int steps, double *x, double *Phi, const double *p, double *work)
+int @p_flow(double t, double duration, int steps, double *restrict x, double *restrict Phi, const double *restrict p,
+            double *restrict work)
 {
     int columns = Phi ? N : 0, step, j, k, failed = steps < 1;
     size_t m = (size_t)N * (size_t)(1 + columns), i;

@@ -20,7 +20,7 @@ typedef struct {
 
 /* Velocities of two columns (positions, then velocities) after a kick, together: it takes less time. J is h df/dq by
  * rows. */
-static void kick_columns(const double *J, double *first, double *second, int low, int high)
+static void kick_columns(const double *restrict J, double *restrict first, double *restrict second, int low, int high)
 {
     int i, k;
 
@@ -80,7 +80,8 @@ static void drift(double h, double *x, double *Phi, const Reach *reach)
     }
 }
 
-int @p_flow(double t, double duration, int steps, double *x, double *Phi, const double *p, double *work)
+int @p_flow(double t, double duration, int steps, double *restrict x, double *restrict Phi, const double *restrict p,
+            double *restrict work)
 {
     const double *a = @p_flow_drifts, *b = @p_flow_kicks;
     Reach *reach = (Reach *)work;

@@ -100,13 +100,15 @@ static double mu_real[@P_SITES], mu_imaginary[@P_SITES], multipliers_work[@P_MUL
     }
 @@ right-hand side
     {
-        static double x[@P_STATES], dxdt[@P_STATES], work[@P_RHS_WORK];
+        static double state[@P_STATES], dxdt[@P_STATES], work[@P_RHS_WORK];
         double p[@P_PARAMETERS + 1] = {0.0};
         int i;
 
-@nominal        for (i = 0; i < @P_STATES; i++) x[i] = 0.1 / (i + 1);
-        @p_rhs(0.0, x, p, dxdt, work);
-        for (i = 0; i < @P_STATES; i++) printf("%s %.17g\n", @p_state_names[i], dxdt[i]);
+@nominal        for (i = 0; i < @P_STATES; i++) state[i] = 0.1 / (i + 1);
+        @p_rhs(0.0, state, p, dxdt, work);
+        for (i = 0; i < @P_STATES; i += 1 + @P_STATES / @shown) printf("rhs_%d %.17g\n", i, dxdt[i]);
     }
+@@ sizes
+    printf("states %d\n", @P_STATES);
 @@ nominal values
         for (i = 0; i < @P_PARAMETERS; i++) p[i] = @p_nominal[i];

@@ -18,7 +18,7 @@ enum { N = @P_FLOW_STATES / 2, SWEEPS = 60 };
 #define H(i, j) h[(size_t)(j) * N + (size_t)(i)]
 
 /* B^T C: four sums at a time, which do not wait for each other. */
-static void product(const double *Phi, double *h)
+static void product(const double *restrict Phi, double *restrict h)
 {
     size_t i, j, k;
 
@@ -48,7 +48,7 @@ static void swap(double *a, double *b)
 }
 
 /* `factors` holds N numbers. */
-static void hessenberg(double *h, double *factors)
+static void hessenberg(double *restrict h, double *restrict factors)
 {
     int i, j, k, largest, last;
 
@@ -213,8 +213,9 @@ static double modulus(double real, double imaginary, double tolerance)
     return larger * larger;
 }
 
-int @p_multipliers(const double *Phi, double tolerance, double *mu_real, double *mu_imaginary, double *largest,
-                   double *trivial, double *work)
+int @p_multipliers(const double *restrict Phi, double tolerance, double *restrict mu_real,
+                   double *restrict mu_imaginary, double *restrict largest, double *restrict trivial,
+                   double *restrict work)
 {
     double *h = work;
     int i, nearest = 0;

@@ -44,7 +44,8 @@ static double defect_of(const double *dRdz, const double *R, const double *step,
     return largest > 0.0 ? defect / largest : 0.0;
 }
 
-int @p_newton(double *z, int held, double value, double tolerance, int most, @p_newton_report *report, double *work)
+int @p_newton(double *restrict z, int held, double value, double tolerance, int most, @p_newton_report *report,
+              double *restrict work)
 {
     double *R = work, *dRdz = R + SIZE, *step = dRdz + @P_RESIDUAL_NONZEROS, *product = step + SIZE;
     double *start = product + SIZE, *rest = start + SIZE, last = HUGE_VAL, scale = fmax(1.0, fabs(z[@P_PARAMETER]));

@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-int @p_orbit(double t, double *y, double *velocity)
+int @p_orbit(double t, double *restrict y, double *restrict velocity)
 {
     double theta = fmod(@p_orbit_Omega * t, 2.0 * acos(-1.0)), twice = 2.0 * cos(2.0 * theta);
     int n, k;

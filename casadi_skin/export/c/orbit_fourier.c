@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-int @p_orbit(double t, double *x, double *dxdt)
+int @p_orbit(double t, double *restrict x, double *restrict dxdt)
 {
     const double w = 2.0 * acos(-1.0) / @p_orbit_period, theta = 2.0 * acos(-1.0) * fmod(t / @p_orbit_period, 1.0);
     int n, k;

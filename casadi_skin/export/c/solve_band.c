@@ -12,7 +12,7 @@ enum { SIZE = @P_UNKNOWNS, N = @P_STATE_UNKNOWNS, W = @P_HALF_BANDWIDTH, LD = 3 
 #define BAND(i, j) band[(size_t)(j) * LD + (size_t)(2 * W + (i) - (j))]
 
 /* LU of the band in place, right-hand sides (N rows, columns one after the other) solved along. */
-static int band_solve(double *band, double *right, int columns)
+static int band_solve(double *restrict band, double *restrict right, int columns)
 {
     int i, j, k, c, pivot;
 
@@ -86,7 +86,8 @@ static int border_solve(double border[EDGE][EDGE], double *b)
     return 0;
 }
 
-int @p_solve(const double *dRdz, int held, const double *z, double *b, double *work)
+int @p_solve(const double *restrict dRdz, int held, const double *restrict z, double *restrict b,
+             double *restrict work)
 {
     double *band = work, *below = band + (size_t)LD * N, *right = below + (size_t)EDGE * N; /* columns, then b */
     double border[EDGE][EDGE], outer[EDGE], raised = 0.0;

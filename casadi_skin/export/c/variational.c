@@ -2,8 +2,8 @@
 
 #include "@p.h"
 
-int @p_variational(double t, const double *x, const double *p, int columns, const double *V, double *dxdt, double *dVdt,
-                   double *work)
+int @p_variational(double t, const double *restrict x, const double *restrict p, int columns, const double *restrict V,
+                   double *restrict dxdt, double *restrict dVdt, double *restrict work)
 {
     double *J = work, *rest = work + @P_JACOBIAN_NONZEROS;
     int c, j, k, failed = @p_jacobian(t, x, p, dxdt, J, 0, rest);
