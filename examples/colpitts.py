@@ -51,7 +51,7 @@ def main(picture: Path | str | None = None):
         branches.append(point.follow("bias", 6.0, stability=True))
     chaos = simulate(circuit, {"collector": 5.0, "emitter": -7.0}, np.linspace(0, 400, 20001), parameters={"bias": 5.5})
     if picture is not None:
-        draw(branches, chaos).savefig(picture, dpi=150)
+        draw(branches, chaos).savefig(picture, dpi=120)
     return branches, chaos
 
 
