@@ -62,7 +62,7 @@ from casadi_skin.zero.orbit import (
 from casadi_skin.zero.problem import Array, SingularError
 from casadi_skin.zero.settings import Point
 from casadi_skin.zero.stated_problem import PERIOD, BoundaryProblem, stated
-from casadi_skin.zero.statement import Bounds, Statement, named_values
+from casadi_skin.zero.statement import Bounds, Statement, check_expressions, named_values
 
 # Periodic orbits of any model: autonomous, forced, conservative, reversible; closed or rotating -----------------------
 
@@ -217,6 +217,14 @@ def scalar_of(label: str, given: Any, model: OdeModel) -> Any:
     if expression.numel() != 1:
         raise ValueError(f"{label}: given shape {expression.shape}; accepted: a scalar expression")
     return expression
+
+
+def checked_scalar(label: str, given: Any, model: OdeModel) -> Expression:
+    """A scalar expression in time, states and parameters; raises ValueError and TypeError for other arguments."""
+    expression = scalar_of(label, given, model)
+    time = type(model.state).sym("t") if model.time is None else model.time
+    check_expressions([(label, expression)], [time, model.full_state, model.parameters])
+    return ca.densify(expression)
 
 
 def _unfolded_rate(model: OdeModel, solution: Solution) -> float:

@@ -17,7 +17,6 @@ from functools import cached_property
 from itertools import chain
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.arclength import Continuation
@@ -569,8 +568,7 @@ def held_space(space: Any, fixed: str | None) -> Any:
 
 def monitored_space(space: Any, given: Mapping[str, Any] | None) -> Any:
     """A space with monitors by name; raises ValueError and TypeError for other names and expressions."""
-    from casadi_skin.follow.find import scalar_of
-    from casadi_skin.zero.statement import check_expressions
+    from casadi_skin.follow.find import checked_scalar
 
     model, found = space.model, list[Monitor]()
     taken = {*KINDS, EDGE, KREIN, STABILITY, *model.state_names, *model.parameter_names}
@@ -578,10 +576,7 @@ def monitored_space(space: Any, given: Mapping[str, Any] | None) -> Any:
         if not name.strip() or not name.isprintable() or name in taken:
             accepted = "names in one line, which no state, parameter or kind of special points has"
             raise ValueError(f"monitors: given {short_repr(name)}; accepted: {accepted}")
-        expression = scalar_of(f"monitors, {name}", one, model)
-        time = type(model.state).sym("t") if model.time is None else model.time
-        check_expressions([(f"monitors, {name}", expression)], [time, model.full_state, model.parameters])
-        found.append(Monitor(name, model.function("monitor", ca.densify(expression))))
+        found.append(Monitor(name, model.function("monitor", checked_scalar(f"monitors, {name}", one, model))))
     return replace(space, monitors=tuple(found))
 
 

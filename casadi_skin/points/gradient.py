@@ -22,14 +22,15 @@ from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import FAMILY, ORBITS
 from casadi_skin.follow.special_points import ROUNDING_DEVIATIONS, Located, SpecialPoint, locate, locate_rest
-from casadi_skin.model.arguments import check_name, with_error
+from casadi_skin.model.arguments import accepted_names, short_repr, state_by_name, truth, with_error
+from casadi_skin.model.expressions import real_array
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.edges import edge_problem, parameters_of
 from casadi_skin.points.targets import Flow, Slopes, Target, target_of, unknown
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.adjoint import Equations, derivatives
 from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
-from casadi_skin.zero.problem import EPSILON, Array, Problem
+from casadi_skin.zero.problem import EPSILON, Array, Problem, SingularError
 from casadi_skin.zero.rest import AlgebraicProblem, Course, Statics, sizes_of
 from casadi_skin.zero.stated_problem import PERIOD
 
@@ -40,6 +41,7 @@ WIDER_DIFFERENCES = 2.0  # times the steps of differences of a program's derivat
 # Deviations of rounding beyond which a push of the equations makes a branch point none: those of 24 random symmetric
 # models, whose coefficients are rounded, were up to 400, pushes that do are some 1e13.
 UNFOLDING_DEVIATIONS = 1e8
+NEGATIVE_VARIANCE = 1e-12  # of correlations: eigenvalues that are negative by rounding
 # Beside an edge at which another branch crosses, of S: weights of the places, of orders four and two.
 CROSSING_SIDES = -1e-3, -5e-4, 5e-4, 1e-3
 CROSSING_WEIGHTS = np.array([[-1.0, 4.0, 4.0, -1.0], [0.0, 3.0, 3.0, 0.0]]) / 6.0
@@ -68,7 +70,9 @@ class Gradient(Result, Mapping[str, float]):
         return f"<Gradient of {self.of}: {words or 'no other parameters'}>"
 
     def __getitem__(self, name: str) -> float:
-        """The derivative by a parameter."""
+        """The derivative by a parameter; raises KeyError for other names."""
+        if name not in self.slopes:
+            raise KeyError(accepted_names(name, self.slopes))
         return self.slopes[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -88,17 +92,21 @@ class Gradient(Result, Mapping[str, float]):
             sqrt(g^T C g), in units of the value.
 
         Raises:
-            ValueError: the argument is neither.
+            ValueError, TypeError: the argument is neither.
         """
         g = np.array(list(self.slopes.values()))
         if isinstance(covariance, Mapping):
-            for name in covariance:
-                check_name("covariance", name, self.slopes)
-            covariance = np.diag([float(covariance.get(name, 0.0)) ** 2 for name in self.slopes])
-        C = np.asarray(covariance, dtype=float)
-        if C.shape != (g.size, g.size) or not np.allclose(C, C.T):
-            accepted = f"a symmetric matrix of shape ({g.size}, {g.size}), or standard deviations by name"
+            deviations = np.array(state_by_name("covariance", covariance, list(self.slopes)))
+            C = np.diag(np.sign(deviations) * deviations**2)
+        else:
+            C = real_array("covariance", covariance)
+        accepted = f"a symmetric matrix of shape ({g.size}, {g.size}), or standard deviations by name"
+        if C.shape != (g.size, g.size):
             raise ValueError(f"covariance: given shape {C.shape}; accepted: {accepted}")
+        units = np.sqrt(np.where(np.diag(C) > 0.0, np.diag(C), 1.0))
+        R = C / np.outer(units, units)  # correlations
+        if not np.allclose(R, R.T) or np.any(np.linalg.eigvalsh(R) < -NEGATIVE_VARIANCE):
+            raise ValueError(f"covariance: given {short_repr(covariance)}, which is none; accepted: {accepted}")
         varies = np.any(C != 0.0, axis=0)  # derivatives by others may be none
         return float(np.sqrt(g[varies] @ C[np.ix_(varies, varies)] @ g[varies]))
 
@@ -120,6 +128,7 @@ def gradient(point: SpecialPoint, *, errors: bool = True) -> Gradient:
         ValueError: the point is of another kind.
         ArithmeticError: its equations are not solved again, or singular.
     """
+    truth("errors", errors)
     solution, name, value = point.solution, point.parameter, point.parameters[point.parameter]
     if solution.space.connects == FAMILY and (point.kind == EDGE or point.mu is not None):
         return _of_edge(point, errors)
@@ -283,6 +292,7 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         ValueError: the solution has no such quantity, or has an objective.
         ArithmeticError: the solution is not regular, as at a fold.
     """
+    truth("errors", errors)
     space: Any = solution.space
     family: Any = solution
     if space.connects == FAMILY:
@@ -290,19 +300,27 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         space = solution.space
     if space.optimises:
         raise ValueError("gradient: given a solution with an objective; accepted: one without")
+    if family.point.special in (BRANCH_POINT, FOLD) and not space.kind:
+        raise SingularError(f"gradient: given the solution at a {family.point.special}, which is not regular")
+    if solution.is_orbit and not np.any(np.ptp(solution.states, axis=0)):
+        raise SingularError("gradient: given an orbit at rest, which is not regular; accepted: one beside it")
     point, problem = solution.point, solution.point.problem
     if fixed is not None:
-        stated = space.statement.with_parameters(**solution.parameters)
-        space = held_space(replace(space, statement=stated), fixed)
+        if solution.is_orbit:  # others are refused
+            space = replace(space, statement=space.statement.with_parameters(**solution.parameters))
+        space = held_space(space, fixed)
         problem = space.levels.problem(problem.resolution).with_constants(problem.constants)
     target, words = target_of(space, solution, quantity)
     names = [name for name in space.model.parameter_names if name not in space.free]
     at = problem, _polished(problem, point.z, 1)
-    if words == "energy" and not np.isclose(target(*at)[0], family.energy, rtol=1e-6):
+    value = target(*at)[0]
+    if not np.isfinite(value):
+        raise ValueError(f"quantity: given {words}, which is {value:g} there; accepted: one that is finite")
+    if words == "energy" and not np.isclose(value, family.energy, rtol=1e-6):
         raise ValueError("quantity: given energy in a gauge, which parameters change; accepted: that of a model")
     found = _with_errors(target, at, _finer(space, problem, point.z), names, errors)
     picked = "" if fixed is None else f", and the {fixed}"
-    return _gradient(words, target(*at)[0], names, found, f"all other parameters{picked}")
+    return _gradient(words, value, names, found, f"all other parameters{picked}")
 
 
 @in_turn

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.follow.boundary_space import BoundarySpace
-from casadi_skin.follow.find import scalar_of
+from casadi_skin.follow.find import checked_scalar
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.amplitude import amplitude_square
 from casadi_skin.model.arguments import accepted_names
@@ -45,7 +45,7 @@ def target_of(space: Any, solution: Solution, quantity: Any) -> tuple[Target, st
     """A quantity of a solution, and its name in words; raises ValueError for one that it has not."""
     model = space.model
     if not isinstance(quantity, str):
-        return AtStart(space, ca.densify(scalar_of("quantity", quantity, model))), "an expression"
+        return AtStart(space, checked_scalar("quantity", quantity, model)), "an expression"
     known: dict[str, Target] = {name: partial(_free, name) for name in space.free}
     if solution.is_equilibrium:
         known |= {name: partial(_component_at_rest, k) for k, name in enumerate(space.state_names)}

@@ -94,6 +94,14 @@ def test_the_spread_is_that_of_the_gradient() -> None:
         found.spread({"rho": 1.0})
     with pytest.raises(ValueError, match=r"accepted: a symmetric matrix of shape \(2, 2\)"):
         found.spread(np.eye(3))
+    tiny = np.diag([1e-24, 1e-30]) + 1e-25 * np.eye(2, k=1)
+    nones = {"sigma": -0.1}, [[-1.0, 0.0], [0.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[1.0, 2.0], [3.0, 4.0]], tiny
+    for none in nones:
+        with pytest.raises(ValueError, match=r"covariance: given .*, which is none; accepted: a symmetric"):
+            found.spread(none)
+    for none, error in (({"sigma": np.inf}, ValueError), ({"sigma": "x"}, TypeError), ([[1j, 0], [0, 1]], TypeError)):
+        with pytest.raises(error, match=r"^covariance.*accepted: (a )?finite number"):
+            found.spread(none)
 
 
 def test_folds_and_branch_points_of_equilibria_move_as_in_closed_form() -> None:
@@ -760,3 +768,29 @@ def test_quantities_of_forced_and_symmetric_orbits_are_those_of_differences() ->
 def test_what_is_no_quantity_is_refused() -> None:
     with pytest.raises(ValueError, match="quantity: given perid; did you mean period"):
         limit_cycle().gradient("perid")
+    rest = lorenz().solution
+    x, y = rest.space.model.state[:2].elements()
+    for given, words in (
+        (None, "given None"), (ca.SX.sym("zz"), "depends on zz"),
+        (x == y, "given a comparison"), (ca.log(-x * x), "given an expression, which is nan there"),
+    ):  # fmt: skip
+        with pytest.raises((TypeError, ValueError), match=f"^quantity: {words}[^\n]*accepted"):
+            rest.gradient(given)
+    with pytest.raises(ValueError, match="fixed: given with a solution whose period is its own; accepted: an orbit"):
+        rest.gradient("x", fixed="period")
+    with pytest.raises(TypeError, match="errors: given 5; accepted: True or False"):
+        rest.gradient("x", errors=5)
+    with pytest.raises(KeyError, match="accepted: sigma, beta"):
+        lorenz().gradient()["rho"]
+
+
+def test_solutions_that_are_not_regular_have_no_gradient() -> None:
+    """Where x = 0 meets x = r - c the derivative by e is infinite; an orbit at rest has none."""
+    x, r, c, e = symbols("x r c e")
+    model = OdeModel("transcritical", x, (r - c) * x - x**2 + e * c, ca.vertcat(r, c, e))
+    branch = find_equilibrium(model, [0.0], parameters={"r": -1.0, "c": 0.3, "e": 0.0}).follow("r", 1.0)
+    with pytest.raises(ArithmeticError, match="gradient: given the solution at a branch point, which is not regular"):
+        branch.special_points[0].solution.gradient("x")
+    cycles = lorenz().follow("r", 20.0, max_points=3)
+    with pytest.raises(ArithmeticError, match="gradient: given an orbit at rest, which is not regular"):
+        cycles.orbits[0].gradient("x_max")
