@@ -333,9 +333,12 @@ class BestDesign(Task):
         run.progress.say("designing")
         with run.named("[design]: "):
             points = [_special_point(name, run.branches) for name in asked.of]
-            problem, progress = self.request.designed(points), run.progress.say
+            problem = self.request.designed(points)
             found = self.result = best_design(
-                problem, problem.places(asked.starts, asked.seed), self.request.tolerance, progress
+                problem,
+                problem.places(asked.starts, asked.seed),
+                self.request.tolerance,
+                lambda where: run.progress.say(str(where)),
             )
             if not found.found:
                 run.failures.append(f"[design]: {found.reason}")

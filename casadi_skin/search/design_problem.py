@@ -18,8 +18,8 @@ from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import expression, is_comparison
 from casadi_skin.model.formula import FormulaError, parse_formula
 from casadi_skin.search.conditions import Condition, checked_bounds, checked_conditions, free_names, sampled_starts
-from casadi_skin.search.families import FamilyStart, FreeNumber, check_chain
-from casadi_skin.search.located import LocatedThing, Start, start_of
+from casadi_skin.search.families import SMALLEST_S, FamilyStart, FreeNumber, check_chain
+from casadi_skin.search.located import LocatedThing, SolutionStart, start_of
 from casadi_skin.zero.family import FamilyRequest
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.statement import named_values
@@ -42,7 +42,7 @@ class DesignProblem:
         function: of the numbers of all things: objective and constraints, a column, and its derivative.
     """
 
-    starts: tuple[Start | FamilyStart, ...]
+    starts: tuple[SolutionStart | FamilyStart, ...]
     expressions: tuple[Any, ...]
     over: tuple[str, ...]
     named: tuple[str, ...]
@@ -82,7 +82,7 @@ class DesignProblem:
             low, high = limits["S"]
             if low < 0 or high <= 0:
                 raise ValueError(f"bounds[S]: given {short_repr([low, high])}; accepted: bounds within 0 to inf")
-            limits["S"] = max(low, known["S"].lower), high
+            limits["S"] = low or SMALLEST_S * min(known["S"].value, high), high
         conditions = (
             *checked_conditions(subject_to, (str, Callable), "a function of what is located", of_conditions),
             *more,
@@ -193,7 +193,7 @@ def branch_at(branch: Callable[[], Branch], S: float) -> Orbit:
     return orbit
 
 
-def _by_name(of: Any) -> dict[str, Start | FamilyStart]:
+def _by_name(of: Any) -> dict[str, SolutionStart | FamilyStart]:
     """What is located, by name; raises TypeError for what a design does not take."""
     if isinstance(of, list | tuple) and of:
         of = {chr(ord("a") + k): item for k, item in enumerate(of)}

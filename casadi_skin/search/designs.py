@@ -25,6 +25,7 @@ from casadi_skin.search.conditions import checked_conditions
 from casadi_skin.search.design import FEASIBLE, Design, Ending, best_of, optimum_words
 from casadi_skin.search.design_problem import DesignProblem, Quantity, Rows
 from casadi_skin.search.located import LocatedThing
+from casadi_skin.solve.processes import Report, SearchProgress
 from casadi_skin.solve.watch import check_time_limit
 from casadi_skin.zero.problem import EPSILON, Array
 
@@ -38,6 +39,7 @@ NEAR_BOUND = 1e-7  # of its range: a number at its bound
 RESTORING_STEPS = 2  # of Newton's method on active constraints, from an end of SLSQP
 SHORTEST_SHARE = 2.0**-12  # of the way between two designs: the smallest step of the continuation
 FAR_OFF, FALLING, PATIENCE = 1e-3, 0.9, 8  # violations above the first that do not fall to this share in so many steps
+MOST_LOST = 20  # designs from one start at which not everything is located, before it ends
 FAR_WORSE = 1e10  # the scaled objective where not everything is located
 
 
@@ -53,7 +55,7 @@ def optimise(
     starts: int = 1,
     seed: int = 0,
     tolerance: float = 1e-8,
-    progress: Callable[[str], None] | None = None,
+    progress: Report | None = None,
 ) -> Design:
     """Find parameters at which a quantity of located solutions is best.
 
@@ -70,10 +72,11 @@ def optimise(
         starts: number of starts: the own parameters first, then a Halton sequence within the bounds.
         seed: of that sequence.
         tolerance: relative error of the value by discretisation, of orbits of a family.
-        progress: called with every design in words.
+        progress: called with a `SearchProgress` at every design.
 
     Returns:
-        The best `Design`. Where none is an optimum it is the last one, which says so in `found` and `reason`.
+        The best `Design`. Where none is an optimum it is the last one, which says so in `found` and `reason`. Ctrl-C
+        ends the search with the best so far.
 
     Raises:
         ValueError, TypeError: arguments that are not accepted, before anything is solved.
@@ -81,18 +84,29 @@ def optimise(
     """
     truth("maximise", maximise)
     problem = DesignProblem.of(quantity, of, over, subject_to, bounds, maximise)
-    return best_design(problem, problem.places(starts, seed), tolerance, progress)
+    return best_design(problem, problem.places(starts, seed), tolerance, progress, so_far=True)
 
 
 def best_design(
-    problem: DesignProblem, starts: Sequence[Array], tolerance: float, progress: Callable[[str], None] | None = None
-) -> Design:
-    """The best design from several starts; raises ArithmeticError where nothing is located at any."""
+    problem: DesignProblem, starts: Sequence[Array], tolerance: float, progress: Report | None = None,
+    so_far: bool = False,
+) -> Design:  # fmt: skip
+    """The best design from several starts, after Ctrl-C the best `so_far`; raises ArithmeticError for none at any."""
     number_within("tolerance", tolerance, 1e-12, 1e-2)
-    ends = [Search(problem, progress).optimum(start, tolerance) for start in starts]
+    ends, gone = list[Design](), ""
+    for number, start in enumerate(starts, start=1):
+        search = Search(problem, progress, number, len(starts))
+        try:
+            ends.append(search.optimum(start, tolerance))
+        except KeyboardInterrupt:
+            if not so_far or not (ends or search.path):
+                raise
+            ends += [search.so_far()] if search.path else []
+            gone = f"{Ending.INTERRUPTED.value} at start {number} of {len(starts)}"
+            break
     if all(end.status is Ending.NOT_LOCATED for end in ends):
-        raise ArithmeticError("optimise: what is optimised is not located at any start")
-    return best_of(ends)
+        raise ArithmeticError(f"optimise: what is optimised is {ends[0].reason}")
+    return best_of(ends, gone)
 
 
 # The way to an optimum from one start ---------------------------------------------------------------------------------
@@ -139,14 +153,16 @@ class Place:
 class Search:
     """The designs from one start on."""
 
-    def __init__(self, problem: DesignProblem, progress: Callable[[str], None] | None) -> None:
-        function_of("progress", progress, "words")
+    def __init__(self, problem: DesignProblem, progress: Report | None, number: int = 1, starts: int = 1) -> None:
+        function_of("progress", progress, "a SearchProgress")
+        self.number, self.starts, self.failure = number, starts, ""  # why not all is located at the last p, in words
         self.problem, self.progress, self.sign = problem, progress, -1.0 if problem.maximise else 1.0
         self.known = [Place(np.repeat(problem.values, problem.counts), problem.things)]  # the last one at the end
         self.path, self.values = list[Array](), list[float]()
         self.limits = np.array([row[1:] for row in problem.rows]).reshape(-1, 2).T  # of the constraints
         self.sizes = np.zeros(1 + len(problem.rows))  # of the largest scaled gradients on the way
         self.first = np.empty(0)  # heights at the first design
+        self.lost = list[Array]()  # designs at which not everything is located
         self.infeasible = False  # whether the constraints cannot be met near the last end
 
     # Designs --------------------------------------------------------------------------------------------------------
@@ -166,6 +182,7 @@ class Search:
                 continue
             share *= 0.5
             if share < SHORTEST_SHARE:
+                self.known.insert(0, Place(start + done * (p - start), things))  # not to come so far again
                 return None
         return things
 
@@ -175,12 +192,23 @@ class Search:
             if place.rows is not None and np.array_equal(p, place.p):
                 self.known.append(self.known.pop(k))
                 return place.rows
-        things = self.moved(p)
+        if self.lost and np.array_equal(p, self.lost[-1]):
+            return None
+        things, self.failure = self.moved(p), ""
+        self.lost.append(p.copy())  # taken back where it returns rows
         if things is None:
             return None
-        found = rows, slopes = self.problem.evaluated(things)
-        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(slopes))):
+        try:
+            found = rows, slopes = self.problem.evaluated(things)
+        except ArithmeticError as error:  # what is located has no derivatives there
+            self.failure = f": {error}"
             return None
+        finite = np.isfinite(rows) & np.all(np.isfinite(slopes), axis=1)
+        if not np.all(finite):
+            name = [self.problem.quantity, *(row[0] for row in self.problem.rows)][np.argmin(finite)]
+            self.failure = f": {name} or its derivative is no number there"
+            return None
+        self.lost.pop()
         self.sizes = np.maximum(self.sizes, np.max(np.abs(slopes * self.problem.scales), axis=1))
         self.known = [*self.known[-MOST_KNOWN:], Place(p.copy(), things, found)]
         self.first = self.first if self.first.size else self.heights(found)
@@ -188,15 +216,26 @@ class Search:
         self.values.append(float(rows[0]))
         if self.progress is not None:
             named = ", ".join(f"{name} = {value:.8g}" for name, value in zip(self.problem.over[:4], p, strict=False))
-            self.progress(f"design {len(self.path)}: {self.problem.quantity} = {rows[0]:.8g} at {named}")
+            where = self.number, self.starts, self.number - 1, len(self.path)
+            self.progress(SearchProgress(*where, float(rows[0]), self.conditions(p).violation, named))
         return found
+
+    def so_far(self) -> Design:
+        """The best of the known designs."""
+        known = [(one.p, one.rows[0][0]) for one in self.known if one.rows is not None]
+        ranks = [(max(self.conditions(p).violation, FEASIBLE), self.sign * value) for p, value in known]
+        p, _ = known[ranks.index(min(ranks))]
+        found = self._optimum(p, self.conditions(p), (np.inf, np.inf), "")
+        words = f"{Ending.INTERRUPTED.value}; {len(self.path)} designs"
+        return replace(found, status=Ending.INTERRUPTED, reason=words)
 
     def optimum(self, p: Array, tolerance: float) -> Design:
         """The end of SLSQP, on finer discretisations until it is at the tolerance."""
         while self.rows(p) is not None:
             p, words = self._solved(p)
             conditions, things = self.conditions(p), self.known[-1].things
-            finer, (error, slope_error) = [thing.finer for thing in things], self._errors(conditions)
+            error, slope_error = self._errors(conditions)
+            finer = [thing.finer for thing in things] if error < np.inf else []
             if error <= tolerance * max(map(abs, self.values)) or all(thing is None for thing in finer):
                 return self._optimum(p, conditions, (error, slope_error), words)
             self.known = [Place(p, tuple(two or one for one, two in zip(things, finer, strict=True)))]
@@ -267,6 +306,8 @@ class Search:
             """Ends SLSQP where a design that it tries is what is sought, and where violations do not fall."""
             nonlocal tried
             tried = np.clip(x * scales, *ends)
+            if len(self.lost) >= MOST_LOST:
+                raise Sought
             if nearest or self.rows(tried) is None:
                 return
             conditions = self.conditions(tried)
@@ -293,8 +334,10 @@ class Search:
                 callback=stop, options={"ftol": ACCURACY, "maxiter": MOST_ITERATIONS + MORE_ITERATIONS * p.size},
             )  # fmt: skip
             end, words = np.clip(result.x * scales, *ends), " ".join(str(result.message).split())
+            words = "the value does not change" if result.success else words
         except Sought:
-            end, words = tried, "violations do not fall"
+            ended = "not everything is located beyond" if len(self.lost) >= MOST_LOST else "violations do not fall"
+            end, words = tried, ended
         return (end if self.rows(end) is not None else self.known[-1].p), words
 
     # Conditions of optimality ---------------------------------------------------------------------------------------
@@ -335,10 +378,13 @@ class Search:
         return Conditions(float(np.max(np.abs(left))) / (self.sizes[0] or 1.0), violation, worst, bounds)
 
     def _errors(self, conditions: Conditions) -> tuple[float, float]:
-        """Estimated errors of the value, also by what the constraints are off by, and of the optimality."""
-        rows, slopes = self.problem.errors(self.known[-1].things)
-        off = 0.0 if self.infeasible else 1.0
-        held = sum(weight * (rows[b.row] + off * abs(b.gap)) for b, weight in conditions.bounds if b.row)
+        """Estimated errors of the value, also by what bounds and constraints are off by, and of the optimality."""
+        try:
+            rows, slopes = self.problem.errors(self.known[-1].things)
+        except ArithmeticError:  # of the finer ones
+            return np.inf, np.inf
+        off, own = 0.0 if self.infeasible else 1.0, np.append(0.0, rows[1:])  # bounds of parameters have no errors
+        held = sum(weight * (own[b.row] + off * abs(b.gap)) for b, weight in conditions.bounds)
         left = float(np.max(slopes[0] * self.problem.scales)) / (self.sizes[0] or 1.0)
         return float(rows[0] + held + EPSILON * abs(self.values[-1])), left
 
@@ -371,7 +417,7 @@ class Search:
         return Design(
             problem.quantity, problem.maximise, np.nan, np.nan, dict(zip(problem.over, p.tolist(), strict=True)),
             dict(zip(problem.over, map(tuple, problem.ends.T.tolist()), strict=True)), p[None], np.full(1, np.nan),
-            Ending.NOT_LOCATED, Ending.NOT_LOCATED.value,
+            Ending.NOT_LOCATED, f"{Ending.NOT_LOCATED.value}{self.failure}",
         )  # fmt: skip
 
 

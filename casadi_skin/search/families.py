@@ -35,7 +35,7 @@ from casadi_skin.zero.cosines import CosineEquations, TrigonometricProblem, quar
 from casadi_skin.zero.problem import Array, Buffers, Solve
 
 HARMONICS_OFFERED = (6, 8, 10, 12, 15, 18, 24, 32, 48, 64, 96)
-SMALLEST_S = 1e-6  # where no lower bound is given
+SMALLEST_S = 1e-6  # of that of the start, where no lower bound is given
 STEEPEST_GAMMA = 0.99  # |gamma| where no bound is given: beyond it the band is nearly a point
 # Attributes that are no quantities.
 RESERVED_NAMES = ("y0", "slope", "value", "names", "symbols", "has_slopes", "equations")
@@ -198,7 +198,7 @@ class FamilyStart:
     @property
     def free(self) -> dict[str, FreeNumber]:
         """The parameters that designs may change, S among them."""
-        found, model = {"S": FreeNumber(self.S, SMALLEST_S)}, self.model
+        found, model = {"S": FreeNumber(self.S, 0.0)}, self.model
         if not isinstance(model, Chain):
             return found | {name: FreeNumber(value) for name, value in self.parameters.items()}
         gammas = (0.0, STEEPEST_GAMMA) if model.gamma >= 0 else (-STEEPEST_GAMMA, 0.0)

@@ -9,7 +9,7 @@ least, shape (measured, over), the covariance of p is (J^T J)^-1 to first order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from casadi_skin.model.arguments import check_name, number, short_repr, with_err
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.search.design_problem import DesignProblem
 from casadi_skin.search.designs import Search
+from casadi_skin.solve.processes import Report
 from casadi_skin.zero.problem import Array
 
 LEAST_SQUARES_RTOL = 1e-10  # of the sum of squares, of parameters and of gradients, at which the least is reached
@@ -72,7 +73,7 @@ def fit_parameters(
     *,
     over: Sequence[str],
     bounds: Mapping[str, Any] | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Report | None = None,
 ) -> Fit:
     """Find the parameters at which special points and solutions are where they were measured, by least squares.
 
@@ -82,7 +83,7 @@ def fit_parameters(
             takes. The points and solutions are those of the model at the first guess.
         over: names of the parameters that are fitted; all others keep the values of each point.
         bounds: (lower, upper) of these by name, None where there is none.
-        progress: called with every set of parameters in words.
+        progress: called with a `SearchProgress` at every set of parameters.
 
     Returns:
         The `Fit`; `found` says whether its sum of squares is least.

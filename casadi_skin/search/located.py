@@ -26,6 +26,8 @@ from casadi_skin.search.families import FamilyStart, FreeNumber
 from casadi_skin.zero.kinds import EDGE, HOPF
 from casadi_skin.zero.problem import Array
 
+SHRUNK = 1e-4  # of an orbit's motion at the start: so near to a rest its equations have lost half of their digits
+
 
 class LocatedThing(Protocol):
     """Something that is located at a design."""
@@ -155,10 +157,13 @@ class LocatedSolution:
         else:
             space = replace(space, statement=space.statement.with_parameters(**own))
         try:
-            point = space.start
+            found = space.solution(space.start)
         except ArithmeticError:
             return None
-        return replace(self, solution=space.solution(point))
+        first: Any = self.expressions.solution
+        if found.is_orbit and np.all(np.ptp(found.states, axis=0) <= SHRUNK * np.ptp(first.states, axis=0)):
+            return None
+        return replace(self, solution=found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +235,7 @@ def _moved_edge(point: SpecialPoint, values: Mapping[str, float]) -> SpecialPoin
 
 
 @dataclass(frozen=True)
-class Start:
+class SolutionStart:
     """A special point, an equilibrium or an orbit that designs start from."""
 
     given: Any
@@ -262,7 +267,7 @@ class Start:
         return kind(self.given, expressions, tuple(over))
 
 
-def start_of(given: Any) -> Start | FamilyStart:
+def start_of(given: Any) -> SolutionStart | FamilyStart:
     """What a user gives, as designs start from it; raises TypeError for what they do not."""
     if isinstance(given, FamilyStart):
         return given
@@ -271,4 +276,4 @@ def start_of(given: Any) -> Start | FamilyStart:
         raise TypeError(f"of: given {short_repr(given)}; accepted: {accepted}")
     if isinstance(given, Orbit) and given.space.is_family:
         return FamilyStart.of(given)
-    return Start(given)
+    return SolutionStart(given)

@@ -310,11 +310,11 @@ def search_orbit(
         seed: of that sequence.
         workers, executor: near a guess, processes that share the starts. Models and quantities that are programs stay
             in this one.
-        progress: called with a `SearchProgress` at iterations and at the end of every start; of a family with words.
+        progress: called with a `SearchProgress` at iterations and at the end of every start; of a family at designs.
 
     Returns:
-        The best `Design`, with distinct other optima and how every start ended. Near a guess Ctrl-C ends the search
-        with the best so far, and where nothing is found the design is the nearest one, which says why in `reason`.
+        The best `Design`, with distinct other optima and how every start ended. Ctrl-C ends the search with the best
+        so far. Near a guess, where nothing is found the design is the nearest one, which says why in `reason`.
 
     Raises:
         ValueError, TypeError: arguments that are not accepted, before anything is solved.
@@ -349,7 +349,7 @@ def _of_family(
     model: Chain | OdeModel, *, objective: Any = None, mode: int | str | None = None, S: Any = 1.0,
     parameters: Mapping[str, float] | None = None, tolerance: float = 1e-8, free: Sequence[str],
     bounds: Mapping[str, Any] | None, constraints: Sequence[Any], maximise: bool, starts: int, seed: int,
-    progress: Callable[[Any], None] | None,
+    progress: Report | None,
 ) -> Design:  # fmt: skip
     """The design of the same arguments: functions of several orbits get the tuple of them."""
     several = isinstance(S, list | tuple | np.ndarray)
@@ -367,4 +367,4 @@ def _of_family(
     of = family_starts(model, mode, amplitudes, parameters, tolerance)
     words = "objective", "free", "constraints"
     problem = DesignProblem.of(joined(objective), of, free, held, bounds, maximise, words)
-    return best_design(problem, problem.places(starts, seed), tolerance, progress)
+    return best_design(problem, problem.places(starts, seed), tolerance, progress, so_far=True)

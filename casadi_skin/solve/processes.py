@@ -309,9 +309,10 @@ ENDED_EARLY = "search: a process ended early ({}); in a script, parallel searche
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """Where a search is: a start, its iteration of Ipopt, objective and largest violation; `done` starts have ended.
+    """Where a search is: a start, its iteration, objective and largest violation; `done` starts have ended.
 
-    The end of every start is reported as well, with an infinite objective where it found nothing.
+    An iteration is one of Ipopt, where the end of every start is reported as well, with an infinite objective where it
+    found nothing; or a design, whose parameters are in `name`.
     """
 
     start: int

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from typing import Any
 
 import casadi as ca
@@ -26,6 +28,7 @@ from casadi_skin.search.design import Design
 from casadi_skin.search.design_problem import DesignProblem
 from casadi_skin.search.designs import quantities_of
 from casadi_skin.search.families import FamilyExpressions, FamilyOrbit, FamilyStart
+from casadi_skin.solve.processes import SearchProgress
 
 SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
 
@@ -126,6 +129,19 @@ def pendulum(**changes: Any) -> OdeModel:
         "outputs": {"height": 1 - ca.cos(q)},
     }  # fmt: skip
     return OdeModel("pendulum", q, -w * ca.sin(q), w, 2, v, **(declared | changes))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
+def test_bounds_of_S_hold_in_all_units(unit: float) -> None:
+    y, v = ca.SX.sym("y"), ca.SX.sym("v")
+    model = OdeModel(
+        "oscillator", y, -y - y * (y / unit) ** 2, order=2, velocity=v, reversal=(1, -1), half_period=(-1, -1)
+    )
+    orbit = follow_family(model, 1, 0.5 * unit**2).orbits[-1]
+    for low in (0.05, 0.0):
+        result = optimise("Omega", orbit, over=["S"], bounds={"S": (low * unit**2, 0.4 * unit**2)})
+        assert result["S"] == pytest.approx((low or 0.4e-6) * unit**2, rel=1e-6)
+        assert result.reason.startswith("the optimum sits on a bound: S >= ")
 
 
 def test_a_pendulum_meets_its_closed_form() -> None:
@@ -397,6 +413,38 @@ def test_an_orbit_and_an_equilibrium() -> None:
     assert least.value == pytest.approx(2.0, abs=1e-10)
 
 
+def hopf_of_reaction() -> Any:
+    """The Hopf point of the Brusselator at B = 1 + k A^2, of which there is none at A = 0."""
+    x, y, A, B, k = (ca.SX.sym(name) for name in ("x", "y", "A", "B", "k"))
+    field = ca.vertcat(A - (B + 1) * x + x**2 * y, k * (B * x - x**2 * y))
+    model = OdeModel("reaction", ca.vertcat(x, y), field, ca.vertcat(A, B, k))
+    start = find_equilibrium(model, [1.5, 1 / 1.5], parameters={"A": 1.5, "B": 1.0, "k": 1.5})
+    return start.follow("B", 12.0).special_points[0]
+
+
+def test_where_what_is_located_ends_the_design_says_that_it_is_no_optimum() -> None:
+    result = optimise("B", hopf_of_reaction(), over=["A"])
+    assert not result.found
+    assert result.reason.startswith("no optimum, ")
+    assert 1.0 <= result.value <= 1.5
+    assert result.located
+    with pytest.raises(ArithmeticError, match=r"optimise: .* at the start: log\(-B\) or its derivative is no"):
+        optimise("log(-B)", hopf_of_reaction(), over=["A"])
+
+
+@pytest.mark.parametrize("low", [0.0, -1.0])
+def test_an_orbit_that_shrinks_to_a_rest_is_not_located_there(low: float) -> None:
+    """A circle of radius sqrt(mu), least at the bound, or at no design: what is located is right."""
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    r2 = x**2 + y**2
+    model = OdeModel("circle", ca.vertcat(x, y), ca.vertcat(mu * x - y - x * r2, x + mu * y - y * r2), mu)
+    orbit = find_orbit(model, lambda t: [np.cos(t), np.sin(t)], 6.0, parameters={"mu": 1.0}, tolerance=1e-10)
+    result = optimise("x_max", orbit, over=["mu"], bounds={"mu": (low, 2.0)})
+    assert result.found == (low == 0.0)
+    assert abs(result.value - np.sqrt(result["mu"])) <= result.error
+    assert 1e-4 <= result.value <= (2.5 * result.error if result.found else 0.5)
+
+
 @pytest.mark.slow
 def test_the_first_instability_is_pushed_to_the_largest_S() -> None:
     """Of a short chain over gamma: until the edge of another tongue comes before it, but for a distance."""
@@ -467,11 +515,47 @@ def test_several_starts_lead_to_distinct_optima(hopf: Any) -> None:
 
 
 def test_progress_tells_every_design() -> None:
-    told = list[str]()
+    told = list[SearchProgress]()
     result = optimise("participation", member(), over=["gamma"], bounds={"gamma": (0.1, 0.6)}, progress=told.append)
     assert len(told) == len(result.path) - 1
-    assert told[0].startswith("design 1: participation = ")
+    assert [one.iteration for one in told] == list(range(1, len(told) + 1))
+    assert [one.objective for one in told] == result.values[:-1].tolist()
+    assert str(told[0]).startswith("0 of 1 starts done; start 1 (gamma = 0.3), iteration 1: objective ")
     assert result.path[0].tolist() == [0.3]
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("at", [(2, 3), (1, 2)])
+def test_an_interruption_keeps_the_best_so_far(at: tuple[int, int]) -> None:
+    def tell(progress: SearchProgress) -> None:
+        if (progress.start, progress.iteration) == at:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    given: dict[str, Any] = {"over": ["gamma"], "bounds": {"gamma": (0.1, 0.6)}}
+    result = optimise("participation", member(), **given, starts=3, progress=tell)
+    assert result.reason.startswith(f"interrupted at start {at[0]} of 3; ")
+    assert (result.found, len(result.starts)) == (at[0] == 2, at[0])
+    if result.found:
+        assert result.value == optimise("participation", member(), **given).value
+    else:
+        assert result.value == min(result.values)
+        assert result.located
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupted_front_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    right, known = DesignProblem.evaluated, list[Any]()
+
+    def interrupted(self: DesignProblem, things: Any) -> Any:
+        known.append(things)
+        if len(known) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        return right(self, things)
+
+    monkeypatch.setattr(DesignProblem, "evaluated", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        pareto_front("participation", "S", member(), over=["gamma"], bounds={"gamma": (0.1, 0.6)}, points=2)
+    assert len(known) == 3
 
 
 def test_wrong_derivatives_are_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
