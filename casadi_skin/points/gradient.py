@@ -300,10 +300,6 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         space = solution.space
     if space.optimises:
         raise ValueError("gradient: given a solution with an objective; accepted: one without")
-    if family.point.special in (BRANCH_POINT, FOLD) and not space.kind:
-        raise SingularError(f"gradient: given the solution at a {family.point.special}, which is not regular")
-    if solution.is_orbit and not np.any(np.ptp(solution.states, axis=0)):
-        raise SingularError("gradient: given an orbit at rest, which is not regular; accepted: one beside it")
     point, problem = solution.point, solution.point.problem
     if fixed is not None:
         if solution.is_orbit:  # others are refused
@@ -311,6 +307,10 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         space = held_space(space, fixed)
         problem = space.levels.problem(problem.resolution).with_constants(problem.constants)
     target, words = target_of(space, solution, quantity)
+    if family.point.special in (BRANCH_POINT, FOLD) and not space.kind:
+        raise SingularError(f"gradient: given the solution at a {family.point.special}, which is not regular")
+    if solution.is_orbit and not np.any(np.ptp(solution.states, axis=0)):
+        raise SingularError("gradient: given an orbit at rest, which is not regular; accepted: one beside it")
     names = [name for name in space.model.parameter_names if name not in space.free]
     at = problem, _polished(problem, point.z, 1)
     value = target(*at)[0]
