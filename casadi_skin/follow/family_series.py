@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import LARGEST_FAMILY_SIZE
-from casadi_skin.model.arguments import whole
+from casadi_skin.model.arguments import number, short_repr, whole
+from casadi_skin.model.expressions import real_array
 from casadi_skin.model.polynomial import NotPolynomialError
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.zero.amplitude_series import amplitude_series
@@ -89,7 +90,9 @@ class FamilySeries(Result):
 
     def frequency(self, S: ArrayLike, order: int | None = None) -> Array:
         """The sum of Omega at S, up to an order, of all by default; shape of S."""
-        last = self.order if order is None else whole("order", order, 0, self.order)
+        last, S = self.order if order is None else whole("order", order, 0, self.order), real_array("S", S)
+        if np.any(S < 0.0):
+            raise ValueError(f"S: given {short_repr(S)}; accepted: numbers >= 0")
         return np.asarray(polyval(self._x(S), self.Omega[: last + 1]))
 
     def frequency_error(self, S: ArrayLike) -> Array:
@@ -106,7 +109,7 @@ class FamilySeries(Result):
 
     def displacements(self, S: float, t: ArrayLike) -> Array:
         """The sum of y_n(t) at S with all orders, shape (t, positions)."""
-        theta = self.frequency(S) * np.atleast_1d(np.asarray(t, dtype=float))
+        theta = self.frequency(number("S", S)) * np.atleast_1d(np.asarray(t, dtype=float))
         cosines = np.sqrt(S) * np.einsum("k,kin->in", self._x(S) ** np.arange(self.order + 1), self.profile)
         return np.asarray(np.cos(np.outer(theta, self.harmonics)) @ cosines)
 

@@ -68,6 +68,11 @@ def test_the_profile_of_duffing() -> None:
     t = np.linspace(0.0, 9.0, 31)
     exact = duffing_displacement(1.0, 1.0, np.sqrt(0.5), t)
     np.testing.assert_allclose(found.displacements(0.5, t)[:, 0], exact, atol=1e-12)
+    for given in (None, "a", -1.0, np.nan):
+        with pytest.raises((TypeError, ValueError), match=r"^S: given .*; accepted: "):
+            found.frequency(given)
+        with pytest.raises((TypeError, ValueError), match=r"^S: given .*; accepted: "):
+            found.displacements(given, t)
 
 
 def test_a_quintic_force_has_every_second_order() -> None:
