@@ -217,7 +217,6 @@ def _multiplier(space: BoundarySpace, solution: Solution, problem: Any, z: Array
     whole = space.symmetry is SymmetryClass.FULL
     nu, found = _of_whole(problem, z, mu) if whole else _of_part(space, problem, z, mu, power)
     size, by_z, by_c = abs(nu), *((power * abs(nu) ** (power - 2) * np.conj(nu) * part).real for part in found)
-    by_c[list(Equations.of(problem).by_switching(z))] = np.nan  # how the maps change with the mesh is not known
     return float(size**power), by_z, by_c
 
 

@@ -124,10 +124,13 @@ class Equations:
             h = self.widening * DIFFERENCE_STEP / max(float(np.max(np.abs(way) / self.lengths(z))), 1e-300)
             return central(lambda k: np.concatenate(self._pulled(z + k * way, left, None)), h)
 
-        return np.split(by_parts(of, z.size + len(self.names), left, way), [z.size])
+        by_z, by_c = np.split(by_parts(of, z.size + len(self.names), left, way), [z.size])
+        for place, rate in self.by_switching(lambda moved: left @ (moved.matrix(z) @ way)).items():
+            by_c[place] = rate
+        return by_z, by_c
 
-    def by_switching(self, z: Array) -> dict[int, Array]:
-        """Derivatives of all equations by parameters, by place, that move the times at which the field switches."""
+    def by_switching(self, value: Callable[[Any], Array]) -> dict[int, Array]:
+        """Derivatives of a value of equations by parameters, by place, that move the times where the field switches."""
         return {}
 
 
@@ -191,20 +194,20 @@ class OfCollocation(Equations):
     def matrix(self, z: Array) -> Any:
         return Linearised(self.problem, z, self.problem.statement).matrix
 
-    def by_switching(self, z: Array) -> dict[int, Array]:
+    def by_switching(self, value: Callable[[Any], Array]) -> dict[int, Array]:
         """By differences on meshes whose edges move along: at a held mesh such a parameter does nothing."""
         p, statement, found = self.problem, self.problem.statement, dict[int, Array]()
 
-        def residual(step: float, name: str) -> Array:
+        def at(step: float, name: str) -> Array:
             moved = statement.with_parameters(**{name: statement.values[name] + step})
             given = p.formulation, p.resolution, p.table, p.floors, p.scalar_floors, p.walking, p.end
-            return BoundaryProblem(moved, *given).with_constants(p.constants).evaluate(z)[0].copy()
+            return value(OfCollocation(BoundaryProblem(moved, *given).with_constants(p.constants)))
 
         for place, name in enumerate(self.names if statement.switching.size else ()):
             h = SWITCHING_STEP * (abs(statement.values[name]) or 1.0)
             moved = statement.with_parameters(**{name: statement.values[name] + h}).switching
             if not np.array_equal(moved, statement.switching):
-                found[place] = central(partial(residual, name=name), h)
+                found[place] = central(partial(at, name=name), h)
         return found
 
     def at_start(self, z: Array, weights: Array) -> Array:
@@ -314,9 +317,9 @@ def derivatives(
         raise SingularError("the solution is not regular")
     own = scaled.shape[0] - len(more)
     found = np.array([equations.pulled(z, one[:own])[1] for one in left.T])
+    for place, column in equations.by_switching(lambda moved: moved.problem.evaluate(z)[0].copy()).items():
+        found[:, place] = left[:own].T @ column
     found = found + (left[own:].T @ np.array(more) if more else 0.0)
-    for place, column in equations.by_switching(z).items():
-        found[:, place] = left.T @ column
     return np.asarray(by_c - found)
 
 
