@@ -198,6 +198,10 @@ def _by_name(of: Any) -> dict[str, SolutionStart | FamilyStart]:
     if isinstance(of, list | tuple) and of:
         of = {chr(ord("a") + k): item for k, item in enumerate(of)}
     items = of if isinstance(of, Mapping) and of else {"a": of}
+    for name in items:
+        if not (isinstance(name, str) and name.isidentifier()):
+            accepted = "letters, digits and _ as of a variable, and at most 26 without names"
+            raise ValueError(f"of: given the name {short_repr(name)}; accepted: {accepted}")
     return {name: start_of(item) for name, item in items.items()}
 
 
@@ -208,8 +212,8 @@ def _column(place: str, quantity: Quantity, known: Mapping[str, Any]) -> ca.SX:
     try:
         made = _of_text(quantity, known) if isinstance(quantity, str) else quantity(*known.values())
     except (AttributeError, FormulaError) as error:
-        raise ValueError(f"{place}: {error}") from None
-    except (TypeError, ValueError, NotImplementedError, RuntimeError, IndexError) as error:
+        raise ValueError(f"{place}: {str(error).removeprefix('quantity: ')}") from None
+    except (TypeError, ValueError, NotImplementedError, RuntimeError, IndexError, ZeroDivisionError) as error:
         raise TypeError(f"{place}: the function given fails: {' '.join(str(error).split())[:200]}") from None
     if isinstance(made, bool) or not isinstance(made, int | float | ca.SX | ca.DM):
         raise TypeError(f"{place}: given a function that returns {short_repr(made)}; accepted: a CasADi expression")

@@ -615,6 +615,10 @@ REFUSED: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"maximise": 1}, TypeError, "maximise"),
     ({"of": 3}, TypeError, "of: given 3; accepted: a special point, an orbit or an equilibrium"),
     ({"of": []}, TypeError, r"of: given \[\]"),
+    ({"of": {"a b": SHORT}}, ValueError, "of: given the name 'a b'; accepted: letters"),
+    ({"of": {1: SHORT}}, ValueError, "of: given the name 1; accepted: letters"),
+    ({"of": [SHORT] * 27}, ValueError, "of: given the name '{'; accepted: .* at most 26 without names"),
+    ({"quantity": lambda o: 1 / 0}, TypeError, "quantity: the function given fails: division by zero"),
 ]
 
 
