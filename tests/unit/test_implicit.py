@@ -9,10 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from c_programs import COMPILERS, Library
+from scenes import Cli, Runs, column, table
 from scipy.linalg import block_diag
 from scipy.special import ellipk
 
-from casadi_skin import OdeModel, evolve, find_equilibrium, find_orbit, read_model, save_model, simulate
+from casadi_skin import OdeModel, evolve, export_c, find_equilibrium, find_orbit, read_model, save_model, simulate
 
 V = 1e3  # another unit
 
@@ -373,3 +375,24 @@ def test_models_without_such_a_form_are_refused() -> None:
     v, i = symbols("v i")
     with pytest.raises(ValueError, match="mass: given v in row 1, column 1; accepted"):
         OdeModel("refused", [v, i], [-i, v], mass=ca.diag(ca.vertcat(v, 1.0)))
+
+
+@pytest.mark.skipif(not COMPILERS, reason="there is no C compiler")
+def test_exported_rates_are_those_of_the_model(tmp_path: Path) -> None:
+    model = circuit(decay=2.0)
+    library = Library(export_c(model, tmp_path / "circuit"), "circuit")
+    x, p, rates = np.array([0.3, -0.2, 0.1]), np.array([1.0]), np.zeros(3)
+    library.call("rhs", 0.0, x, p, rates, library.work("RHS_WORK"))
+    z = 0.3**3 / 3 - 0.3  # v' = -i - z, i' = v, and z - (v^3/3 - mu v) decays at the rate 2
+    assert rates == pytest.approx([0.2 - 0.1, 0.3, (0.3**2 - 1.0) * 0.1 - 2.0 * (0.1 - z)], rel=1e-13)
+
+
+@pytest.mark.slow
+def test_scene_of_a_circuit(tmp_path: Path, cli: Cli) -> None:
+    run = Runs(tmp_path, cli)
+    save_model(colpitts()[0], tmp_path / "colpitts.json")
+    start = {"vcc": 5.0, "vn": 3.5, "vc": -4.0, "ve": -7.3, "il": 1.5, "iv": -1.5}
+    scene = table("model", file="colpitts.json") + table("equilibrium", start=start)
+    run(scene + table("continuation", parameter="I", to=4.5, switch=["hopf"]) + table("stability"))
+    found = column(run.out / "special_points.csv", "I")
+    assert found == pytest.approx([2.0 * np.sqrt(2.0) / 1.4, 4.1103451502505], rel=1e-11)
