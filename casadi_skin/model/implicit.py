@@ -178,7 +178,7 @@ class Implicit:
                     raise ValueError(_undetermined(model, i, len(conditions) == n - 1))
                 rates.append(decay * (1.0 + len(conditions) / n))  # apart: eigenvalues are simple
                 by_time = ca.SX(0.0) if model.time is None else ca.gradient(g, model.time)
-                rows.put(i, ca.jacobian(g, model.state), -by_time - rates[-1] * g)
+                rows.put(i, ca.jacobian(g, model.state), -by_time - ca.SX(rates[-1]) * g)
                 conditions.append(g)
                 latest[i] = g
                 rows.replaced[i] = True
@@ -290,7 +290,8 @@ def mass_matrix(given: Any, parameters: ca.SX, size: int) -> ca.SX:
     if matrix.shape != (size, size):
         raise ValueError(f"mass: given shape {matrix.shape}; accepted: {accepted}, a row for each equation")
     for place, entry in enumerate(matrix.elements()):
-        strange = [symbol for symbol in ca.symvar(entry) if not ca.depends_on(parameters, symbol)]
+        symbols = [] if entry.is_constant() else ca.symvar(entry)
+        strange = [symbol for symbol in symbols if not ca.depends_on(parameters, symbol)]
         if strange or (entry.is_constant() and not np.isfinite(float(entry))):
             at = f"row {place % size + 1}, column {place // size + 1}"
             raise ValueError(f"mass: given {(strange or [entry])[0]} in {at}; accepted: {accepted}")
