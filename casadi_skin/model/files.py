@@ -1,12 +1,14 @@
-"""Files that a reader never sees half of, and folders that do not outlive this process."""
+"""Files that a reader never sees half of, files that one process has, and folders that do not outlive this process."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import re
 import shutil
 import signal
+import socket
 import stat
 import subprocess
 import tempfile
@@ -85,6 +87,59 @@ def leftovers(directory: Path, names: Iterable[str]) -> list[Path]:
         if held and any(fnmatch(held["name"], name) for name in names) and path.is_file() and not path.is_symlink():
             found.append(path)
     return found
+
+
+_locked = set[int]()  # descriptors of files that this process has locked
+
+
+def _unlock_forked() -> None:
+    """A forked process does not keep files locked."""
+    while _locked:
+        os.close(_locked.pop())
+
+
+os.register_at_fork(after_in_child=_unlock_forked)
+
+
+@contextmanager
+def locked(path: Path, shared: bool) -> Iterator[None]:
+    """Have a file alone, or with others that share it: its process in words, made here, which goes with the last one.
+
+    Raises BlockingIOError where others have it, and OSError where the disk has no locks.
+    """
+    descriptor = _locked_descriptor(path, shared)
+    try:
+        yield
+    finally:
+        if descriptor in _locked:
+            with suppress(OSError):  # the file goes with the last who has it
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if _is_there(descriptor, path):
+                    path.unlink()
+            _locked.remove(descriptor)
+            os.close(descriptor)
+
+
+def _locked_descriptor(path: Path, shared: bool) -> int:
+    while True:
+        descriptor = opened_in_place(path)
+        try:
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            if _is_there(descriptor, path):
+                os.truncate(descriptor, 0)
+                os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
+                _locked.add(descriptor)
+                return descriptor
+        finally:
+            if descriptor not in _locked:
+                os.close(descriptor)
+
+
+def _is_there(descriptor: int, path: Path) -> bool:
+    """Whether an open file is still there: who had it before may have removed it."""
+    with suppress(OSError):
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    return False
 
 
 class TemporaryFolder:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import socket
 import stat
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from enum import Enum
 from fnmatch import fnmatch
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casadi_skin.model.files import leftovers, opened_in_place, other_file, replacing
+from casadi_skin.model.files import leftovers, locked, other_file, replacing
 from casadi_skin.model.methods import FORMATS
 from casadi_skin.runs.output import InputError
 from casadi_skin.runs.reading import parse_scene
@@ -248,18 +246,6 @@ def _check_same(directory: Path, scene: Scene) -> None:
 ACCEPTED_DIRECTORIES = "accepted: another directory, or this one when that process has ended"
 
 
-_locked = set[int]()  # descriptors of files that this process has locked
-
-
-def _unlock_forked() -> None:
-    """A forked process does not keep files locked."""
-    while _locked:
-        os.close(_locked.pop())
-
-
-os.register_at_fork(after_in_child=_unlock_forked)
-
-
 @contextmanager
 def in_use(directory: Path, report: Callable[[str], None], shared: bool = False, part: str = "") -> Iterator[None]:
     """Keep other processes out of a directory, which is made where it is not there.
@@ -278,48 +264,19 @@ def in_use(directory: Path, report: Callable[[str], None], shared: bool = False,
     make_directory(directory)
     path = directory / (f"{LOCK_PREFIX}_{part}" if part else LOCK_PREFIX)
     try:
-        descriptor = _lock(path, shared)
-    except BlockingIOError:
-        holder = ""
-        with suppress(OSError):
-            holder = path.read_text(encoding="utf-8", errors="replace")
-        words = f"{holder or 'another process'} computes in it; {ACCEPTED_DIRECTORIES}"
-        raise DirectoryError(f"{directory}: {words}") from None
-    except OSError as error:
-        report(f"{directory}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
-        descriptor = -1
-    try:
-        yield
+        with ExitStack() as held:
+            try:
+                held.enter_context(locked(path, shared))
+            except BlockingIOError:
+                holder = ""
+                with suppress(OSError):
+                    holder = path.read_text(encoding="utf-8", errors="replace")
+                words = f"{holder or 'another process'} computes in it; {ACCEPTED_DIRECTORIES}"
+                raise DirectoryError(f"{directory}: {words}") from None
+            except OSError as error:
+                report(f"{directory}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
+            yield
     finally:
-        if descriptor in _locked:
-            with suppress(OSError):  # the file goes with the last who has it
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if _is_there(descriptor, path):
-                    path.unlink()
-            _locked.remove(descriptor)
-            os.close(descriptor)
-        if new and directory.is_dir() and not any(directory.iterdir()):
-            directory.rmdir()
-
-
-def _lock(path: Path, shared: bool) -> int:
-    """The descriptor of a file that is locked, with its process in words; raises OSError."""
-    while True:
-        descriptor = opened_in_place(path)
-        try:
-            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-            if _is_there(descriptor, path):
-                os.truncate(descriptor, 0)
-                os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
-                _locked.add(descriptor)
-                return descriptor
-        finally:
-            if descriptor not in _locked:
-                os.close(descriptor)
-
-
-def _is_there(descriptor: int, path: Path) -> bool:
-    """Whether an open file is still there: who had it before may have removed it."""
-    with suppress(OSError):
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    return False
+        if new:
+            with suppress(OSError):  # it holds something, or is gone
+                directory.rmdir()
