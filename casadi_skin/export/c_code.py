@@ -305,7 +305,7 @@ def _write(texts: Mapping[str, str], target: Path) -> None:
         with interrupts_deferred():
             if there:
                 for file in texts:
-                    (temporary / file).rename(target / file)
+                    (temporary / file).replace(target / file)
             else:
                 umask = os.umask(0)
                 os.umask(umask)

@@ -16,7 +16,6 @@ import math
 import os
 import re
 import shutil
-import signal
 import subprocess
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from numpy.typing import ArrayLike
 
 from casadi_skin.fmu.description import fmpy_package
 from casadi_skin.model.arguments import file_path, short_repr
+from casadi_skin.model.interrupts import end_group
 from casadi_skin.model.result import renamed
 
 LIBM_HEADERS = frozenset({"math.h", "string.h", "stdio.h"})
@@ -368,7 +368,7 @@ def _compile(compiler: str, arguments: Sequence[str], folder: Path | None = None
         try:
             said = process.communicate(timeout=SECONDS)[1].splitlines()
         except BaseException as error:  # it is late, or interrupted: with it ends what it has started
-            os.killpg(process.pid, signal.SIGKILL)
+            end_group(process)
             if not isinstance(error, subprocess.TimeoutExpired):
                 raise
             raise CompilerError(f"compiler: {compiler} takes more than {SECONDS} s") from None

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import re
 import shutil
-import signal
 import socket
 import stat
 import subprocess
+import sys
 import tempfile
 import weakref
 from collections.abc import Iterable, Iterator
@@ -18,12 +17,20 @@ from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
-from casadi_skin.model.interrupts import ENDING
+from casadi_skin.model.interrupts import ENDING, interrupts_deferred
 
 LEFTOVER_NAME = re.compile(r"\.(?P<name>.+(?P<suffix>\.\w+))\.[a-z0-9_]{8}(?P=suffix)")  # as `replacing` names them
 
 NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a link; a pipe is not waited for
 BINARY = getattr(os, "O_BINARY", 0)
+LOCKED_FROM, MOST_SHARING = 1 << 30, 1 << 15  # bytes that Windows locks, behind all that is written
+WATCHER = """
+import shutil, signal, sys
+for number in sys.argv[2:]:
+    signal.signal(int(number), signal.SIG_IGN)
+sys.stdin.read()
+shutil.rmtree(sys.argv[1], ignore_errors=True)
+"""
 
 
 def other_file(path: Path, in_place: bool = False) -> str:
@@ -98,7 +105,8 @@ def _unlock_forked() -> None:
         os.close(_locked.pop())
 
 
-os.register_at_fork(after_in_child=_unlock_forked)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_unlock_forked)
 
 
 @contextmanager
@@ -112,27 +120,60 @@ def locked(path: Path, shared: bool) -> Iterator[None]:
         yield
     finally:
         if descriptor in _locked:
-            with suppress(OSError):  # the file goes with the last who has it
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if _is_there(descriptor, path):
-                    path.unlink()
             _locked.remove(descriptor)
-            os.close(descriptor)
+            with suppress(OSError):  # the file goes with the last who has it
+                _give_back(descriptor, path)
 
 
 def _locked_descriptor(path: Path, shared: bool) -> int:
     while True:
         descriptor = opened_in_place(path)
         try:
-            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            _lock(descriptor, shared)
             if _is_there(descriptor, path):
                 os.truncate(descriptor, 0)
-                os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
+                os.lseek(descriptor, 0, os.SEEK_SET)
+                os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
                 _locked.add(descriptor)
                 return descriptor
         finally:
             if descriptor not in _locked:
                 os.close(descriptor)
+
+
+def _lock(descriptor: int, shared: bool) -> None:
+    """Lock a file; raises BlockingIOError where others have it.
+
+    Windows locks bytes, for one process alone: who shares a file has one of them, who does not has all.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        import msvcrt
+
+        for place in range(MOST_SHARING if shared else 1):
+            os.lseek(descriptor, LOCKED_FROM + place, os.SEEK_SET)
+            with suppress(OSError):
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1 if shared else MOST_SHARING)  # type: ignore[attr-defined]
+                return
+        raise BlockingIOError from None
+    fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+
+
+def _give_back(descriptor: int, path: Path) -> None:
+    """Unlock and close a file, and remove it where nobody else has it; raises OSError where one has."""
+    try:
+        import fcntl
+    except ImportError:
+        os.close(descriptor)
+        path.unlink()  # Windows removes no file that another process has open
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if _is_there(descriptor, path):
+            path.unlink()
+    finally:
+        os.close(descriptor)
 
 
 def _is_there(descriptor: int, path: Path) -> bool:
@@ -145,21 +186,18 @@ def _is_there(descriptor: int, path: Path) -> bool:
 class TemporaryFolder:
     """A new temporary folder that goes with this object, or when this process ends, however that comes about.
 
-    A shell waits at the end of a pipe that this process holds: it reads the pipe's end after SIGKILL as well.
+    A small Python waits at the end of a pipe that this process holds: it reads the pipe's end after SIGKILL as well.
     """
 
     def __init__(self, prefix: str) -> None:
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # the shell inherits it
-        try:
+        with interrupts_deferred():
             self.path = Path(tempfile.mkdtemp(prefix=prefix))
-            command = ["/bin/sh", "-c", 'read -r _; exec rm -rf -- "$0"', str(self.path)]
-            with open(os.devnull, "wb") as nothing:
-                self._watcher = subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing, cwd="/", start_new_session=True
-                )
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        self._finalizer = weakref.finalize(self, _removed, self.path, self._watcher)
+            command = [sys.executable, "-ISc", WATCHER, str(self.path), *(str(int(number)) for number in ENDING)]
+            self._watcher = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                cwd=self.path.parent, start_new_session=True,
+            )  # fmt: skip
+            self._finalizer = weakref.finalize(self, _removed, self.path, self._watcher)
 
     def remove(self) -> None:
         """Remove it now."""

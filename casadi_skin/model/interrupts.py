@@ -7,16 +7,22 @@ while arguments are converted ends in a TypeError instead.
 
 from __future__ import annotations
 
+import _thread
+import os
 import signal
+import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from types import FrameType
+from typing import Any
 
 SECONDS_TO_AGAIN = 0.01  # seconds after which a block that goes on is ended again
-ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # the last is that of a window that is closed on Windows
+ENDING = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
 
 
 def heeded() -> list[signal.Signals]:
@@ -28,25 +34,56 @@ def heeded() -> list[signal.Signals]:
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """End the block with KeyboardInterrupt at SIGINT, SIGTERM or SIGHUP, again where it goes on: one may be lost."""
+    """End the block with KeyboardInterrupt at a signal of `ENDING`, again where it goes on: one may be lost."""
     before = {number: signal.signal(number, _end) for number in heeded()}
     try:
         yield
     finally:
         if before:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            _alarm.stop()
         for number, handler in before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
-    signal.setitimer(signal.ITIMER_REAL, SECONDS_TO_AGAIN)
+    _alarm.ring(SECONDS_TO_AGAIN, partial(signal.raise_signal, number))
     raised = sys.exc_info()[1]
     while raised is not None and not isinstance(raised, KeyboardInterrupt):
         raised = raised.__context__
     if raised is None:  # it is not on its way through blocks that clean up
         raise KeyboardInterrupt
+
+
+class _Alarm:
+    """Calls one function in so many seconds, in the main thread and also while a solver computes.
+
+    Without timers of the system another thread calls it, which waits until the solver comes back to Python.
+    """
+
+    _waiting: threading.Lock | None = None
+
+    def ring(self, seconds: float, act: Callable[[], object]) -> None:
+        self.stop()
+        if hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, lambda *_: act())
+            signal.setitimer(signal.ITIMER_REAL, seconds)
+            return
+        waiting = self._waiting = threading.Lock()
+        waiting.acquire()
+        # No threading.Timer: a handler of signals must not wait for locks of `threading`.
+        _thread.start_new_thread(lambda: waiting.acquire(timeout=seconds) or act(), ())
+
+    def stop(self) -> None:
+        """Call nothing."""
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        elif self._waiting is not None:
+            with suppress(RuntimeError):  # a handler of signals did it in between
+                self._waiting.release()
+            self._waiting = None
+
+
+_alarm = _Alarm()
 
 
 @dataclass
@@ -64,22 +101,21 @@ class TimeLimit:
 def time_limited(limit: TimeLimit) -> Iterator[None]:
     """End the block as SIGTERM ends it, once it has taken as long as it may; in the main thread."""
 
-    def on_alarm(number: int, frame: FrameType | None) -> None:
+    def end() -> None:
         limit.is_over = True
         signal.raise_signal(signal.SIGTERM)
 
-    before = signal.signal(signal.SIGALRM, on_alarm)
+    if limit.seconds is not None:
+        _alarm.ring(limit.seconds, end)
     try:
-        signal.setitimer(signal.ITIMER_REAL, limit.seconds or 0.0)
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        _alarm.stop()  # also what ends the block again
 
 
 @contextmanager
 def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
-    """Hold back SIGINT, SIGTERM and SIGHUP inside the block, and deliver the last one when it ends.
+    """Hold back the signals of `ENDING` inside the block, and deliver the last one when it ends.
 
     With `end_solver` a signal makes the running callback fail, so that a long integration ends at once; without
     it the second one does. What the solver raises after a signal is raised only where the signal's own handler returns.
@@ -111,3 +147,11 @@ def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
             signal.raise_signal(number)
     if failure is not None:
         raise failure
+
+
+def end_group(process: subprocess.Popen[Any]) -> None:
+    """End a process that was started with `process_group=0`, and what it has started where the system has groups."""
+    process.kill()
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError):  # none is left
+            os.killpg(process.pid, signal.SIGKILL)

@@ -476,7 +476,7 @@ def started_at(scene: Scene, task: Task) -> Scene:
 
 def _computer_of_worker(*arguments: Any) -> Computer:
     """The computer in a worker, where nobody reads what a model prints."""
-    nowhere = open(os.devnull, "w")  # noqa: SIM115  as long as the process
+    nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  as long as the process
     os.dup2(nowhere.fileno(), 1)
     sys.stdout = sys.stderr = nowhere
     for name in LOADED_MODULES:

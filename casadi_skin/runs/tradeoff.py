@@ -6,7 +6,6 @@ import argparse
 import math
 import pickle
 import re
-import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -283,7 +282,7 @@ def measure(family: FamilyRequest, setting: Setting, reference: Reference, repea
 
 
 def peak_memory(task: tuple[FamilyRequest | None, bool] = (None, False), *_: object) -> float:
-    """Peak resident memory of this process in MB, once it has followed a family."""
+    """Peak resident memory of this process in MB, once it has followed a family; NaN where the system does not say."""
     family, stability = task
     if family is not None:
         followed(Family(family), stability)
@@ -291,6 +290,10 @@ def peak_memory(task: tuple[FamilyRequest | None, bool] = (None, False), *_: obj
     peak = re.search(r"VmHWM:\s*(\d+)", status.read_text(encoding="utf-8")) if status.exists() else None
     if peak is not None:
         return 1.024e-3 * int(peak[1])
+    try:
+        import resource
+    except ImportError:  # on Windows
+        return nan
     return (1e-6 if sys.platform == "darwin" else 1.024e-3) * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
@@ -503,6 +506,8 @@ def recommendations(
     timed = [m for m in measured if m.processor_share == m.processor_share]
     share = sum(m.processor_share * m.seconds for m in timed) / (sum(m.seconds for m in timed) or 1.0)
     busy = f" The machine was busy: the process had a processor for {share:.0%} of the time that passed."
+    starts = f"is that of a process of its own, {baseline:.0f} MB of which it takes to start"
+    memory = starts if baseline == baseline else "is not told by this system"
     text = (
         f"Family j = {family.mode} of {title(family.model, family.parameters)} to S = {family.amplitude_max:g}; errors "
         f"are true, relative, the largest at S = {', '.join(f'{S:.6g}' for S in family.targets.at)}, against orbits by "
@@ -510,8 +515,8 @@ def recommendations(
         f"{max(Omega, SMALLEST_ERROR):.1e} of Omega and {profile:.1e} of the profile{of_mu}; settings as good "
         f"as that are marked *. Processor times: medians of {repeats} run{'s' if repeats > 1 else ''} after a first "
         f"one, whose surplus is the building; of flows, for the multipliers of all these orbits. The mu of orbits are "
-        f"those along them at the tightest tolerance. Peak memory is that of a process of its own, {baseline:.0f} MB "
-        f"of which it takes to start; of flows, with the family.{busy if timed and share <= IDLE_SHARE else ''}"
+        f"those along them at the tightest tolerance. Peak memory {memory}; "
+        f"of flows, with the family.{busy if timed and share <= IDLE_SHARE else ''}"
     )
     sections = {
         "What to use": advices(measured),

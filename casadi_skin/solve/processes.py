@@ -26,8 +26,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from multiprocessing import connection as connections
 from multiprocessing import process, spawn
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from types import FrameType
@@ -35,27 +35,27 @@ from typing import IO, Any
 
 import casadi_skin
 from casadi_skin.model.arguments import function_of, short_repr, whole
-from casadi_skin.model.interrupts import ENDING, heeded
+from casadi_skin.model.interrupts import ENDING, end_group, heeded
 from casadi_skin.solve.ipopt import Monitor
 from casadi_skin.solve.watch import one_thread
 
 # The program of a worker ----------------------------------------------------------------------------------------------
 
-PROGRAM = "from casadi_skin.solve.processes import serve; serve({}, {})"
+PROGRAM = "from casadi_skin.solve.processes import serve; serve({})"
 READY, STOP = b"ready", b"stop"
 REPORT, OUTCOME, ERROR = range(3)  # kinds of messages of a worker on its task
 DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 IDLE_SECONDS = 60.0  # seconds after which a worker without a task ends; the next task starts another
-WATCH_SECONDS = 0.5  # seconds between two looks at the parent
+KIND = getattr(connections, "PipeConnection", connections.Connection)  # of an end of a pipe: the first on Windows
 Tell = Callable[[Any], None]
 
 
-def serve(descriptor: int, parent: int) -> None:
+def serve(handle: int) -> None:
     """Compute tasks until the connection is closed, or none comes."""
-    _end_with(parent)
+    _end_with_parent()
     for number in {*ENDING} - {signal.SIGTERM}:
         signal.signal(number, signal.SIG_IGN)  # Ctrl-C, or the end of a terminal, reaches the process that waits
-    connection = Connection(descriptor)
+    connection = KIND(handle)
     main = connection.recv()
     if main is not None:
         _import_main(main)
@@ -84,14 +84,16 @@ def serve(descriptor: int, parent: int) -> None:
             connection.send(answer)
 
 
-def _end_with(parent: int) -> None:
-    """End this process when its parent does."""
-    with suppress(OSError, AttributeError):
+def _end_with_parent() -> None:
+    """End this process when its parent does, which holds the other end of what is its standard input until here."""
+    with suppress(OSError, AttributeError, TypeError):  # TypeError: on Windows
         ctypes.CDLL(None).prctl(DEATH_SIGNAL, signal.SIGKILL)
+    held, nothing = os.dup(0), os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_SECONDS)
+        os.read(held, 1)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
@@ -137,7 +139,7 @@ class Worker:
 
     def __init__(self, main: bool = False, group: bool = False) -> None:
         self.process: subprocess.Popen[bytes] | None = None
-        self._connection: Connection | None = None
+        self._connection: connections.Connection | None = None
         self._stderr: IO[bytes] | None = None
         self._main, self._group = main, group
         self.exit_code: int | None = None  # of a process that ended by itself
@@ -202,10 +204,10 @@ class Worker:
                     raise
                 self.end()
 
-    def _connected(self) -> Connection:
+    def _connected(self) -> connections.Connection:
         if self._connection is not None:
             return self._connection
-        here, there = Pipe()
+        here, there = connections.Pipe()
         package = str(Path(casadi_skin.__file__).parents[1])
         paths = [package, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
         main = None
@@ -216,9 +218,8 @@ class Worker:
             if self._closed:
                 raise EOFError("its pool is closed")
             self.process = subprocess.Popen(
-                [sys.executable, "-c", PROGRAM.format(there.fileno(), os.getpid())],
-                pass_fds=(there.fileno(),), stdin=subprocess.DEVNULL, stderr=self._stderr,
-                process_group=0 if self._group else None,
+                [sys.executable, "-c", PROGRAM.format(there.fileno())], stdin=subprocess.PIPE, stderr=self._stderr,
+                process_group=0 if self._group else None, **_inherited(there.fileno()),
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
             )  # fmt: skip
         here.send(main)
@@ -253,15 +254,22 @@ class Worker:
         """End the process, in the thread that gives it tasks; the next task starts another."""
         ended, self.process = self.process, None
         if ended is not None:
-            ended.kill()
-            if self._group:
-                with suppress(ProcessLookupError):  # none is left
-                    os.killpg(ended.pid, signal.SIGKILL)
+            assert ended.stdin is not None
+            ended.stdin.close()
+            end_group(ended) if self._group else ended.kill()
             ended.wait()
         for held in (self._connection, self._stderr):
             if held is not None:
                 held.close()
         self._connection = self._stderr = None
+
+
+def _inherited(handle: int) -> dict[str, Any]:
+    """What gives a new process an end of a pipe too."""
+    if sys.platform == "win32":
+        os.set_handle_inheritable(handle, True)
+        return {"startupinfo": subprocess.STARTUPINFO(lpAttributeList={"handle_list": [handle]})}
+    return {"pass_fds": (handle,)}
 
 
 def in_worker(function: bytes, task: Any, *options: Any) -> Any:
