@@ -27,7 +27,7 @@ except ImportError:  # of a script that compiles in a clone
 
 NATIVE = Path(__file__).parent / "casadi_skin" / "native"
 # Every operation is rounded, as numpy's are: none are fused.
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fvisibility=hidden")
 SECONDS = 600  # that a call of the compiler may take: it takes two
 
 
@@ -39,21 +39,27 @@ def compile_kernels(target: Path) -> None:
     """Compile all kernels into one library; raises BuildError."""
     named = shlex.split(os.environ.get("CC", ""))
     compiler = named or [name for name in ("cc", "gcc", "clang") if shutil.which(name)][:1]
-    if not compiler or sys.platform == "win32":
+    if not compiler:
         raise BuildError("no C compiler")
     sources = [str(path) for path in sorted(NATIVE.glob("*.c"))]
     digest = zlib.crc32(b"".join(path.read_bytes() for path in sorted(NATIVE.glob("*.[ch]")))) & 0x7FFFFFFF
     flags = [*FLAGS, f"-DSOURCES={digest}"]  # native/__init__.py loads no library of other sources
     # Beside the target, which is replaced in one step: no process sees half of a library.
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        objects = []
-        macros = _run([*compiler, *flags, "-dM", "-E", sources[0]], folder)
-        if "__x86_64__" in macros:  # of the processor that it compiles for, which may be another one
+        objects = list[str]()
+        macros = _run([*compiler, *flags, "-dM", "-E", sources[0]], folder)  # of the system that it compiles for
+        windows = "#define _WIN32 " in macros
+        if not windows:
+            flags.append("-fPIC")
+        elif "#define __clang__ " not in macros:  # gcc takes the stack there for aligned as AVX needs it: it is not
+            flags.append("-Wa,-muse-unaligned-vector-move")
+        if "__x86_64__" in macros:
             for instructions in ("avx2", "avx512f"):
-                Path(folder, instructions).mkdir()
-                _run([*compiler, *flags, f"-m{instructions}", "-c", *sources], f"{folder}/{instructions}")
-            objects = sorted(str(path) for path in Path(folder).glob("*/*.o"))
-        _run([*compiler, *flags, "-shared", *sources, *objects, "-o", "kernels.library", "-lm"], folder)
+                for source in sources:
+                    objects.append(f"{Path(source).stem}_{instructions}.o")
+                    _run([*compiler, *flags, f"-m{instructions}", "-c", source, "-o", objects[-1]], folder)
+        linked = ["-shared", *sources, *objects, "-o", "kernels.library", "-static-libgcc" if windows else "-lm"]
+        _run([*compiler, *flags, *linked], folder)
         Path(folder, "kernels.library").replace(target)
 
 

@@ -18,7 +18,11 @@ enum { REGISTER = 4 };
 #define NAMED(name) name
 enum { REGISTER = 2 };
 #endif
+#ifdef _WIN32
+#define KERNEL(name) __declspec(dllexport) int NAMED(name)
+#else
 #define KERNEL(name) __attribute__((visibility("default"))) int NAMED(name) /* returns 0, or 1 where it fails */
+#endif
 
 /* The largest modulus, NaN where one of the numbers is none or not finite. */
 static inline double largest(const double *x, int64_t count)

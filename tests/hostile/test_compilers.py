@@ -85,6 +85,32 @@ def test_a_compiler_that_hangs_is_given_up_with_what_it_has_started(
     wait_for_the_end(int((tmp_path / "pid").read_text()))
 
 
+UNALIGNED = "-Wa,-muse-unaligned-vector-move"
+
+
+@pytest.mark.parametrize(
+    ("macros", "flags", "without"),
+    [
+        ("_WIN32 __x86_64__", {"-static-libgcc", "-mavx2", UNALIGNED}, {"-fPIC", "-lm"}),
+        ("_WIN32 __x86_64__ __clang__", {"-static-libgcc", "-mavx512f"}, {"-fPIC", "-lm", UNALIGNED}),
+        ("__aarch64__ __clang__", {"-fPIC", "-lm"}, {"-static-libgcc", "-mavx2"}),
+    ],
+)
+def test_kernels_are_compiled_for_the_system_of_the_compiler(
+    macros: str, flags: set[str], without: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = tmp_path / "arguments"
+    program = f"""for name in {macros}; do echo "#define $name 1"; done
+echo "$@" >> {told}
+for last; do [ "$made" = -o ] && touch "$last"; made=$last; done"""
+    monkeypatch.setenv("CC", compiler(tmp_path, program))
+    module_at(CLONE / "hatch_build.py").compile_kernels(tmp_path / "kernels.library")
+    given = set(told.read_text().split())
+    assert flags <= given
+    assert not without & given
+    assert (tmp_path / "kernels.library").exists()
+
+
 def test_a_build_of_kernels_that_hangs_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", compiler(tmp_path, "exec sleep 60"))
     build = module_at(CLONE / "hatch_build.py")
