@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Iterable, Mapping
 from functools import cache
+from inspect import cleandoc
 from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -87,8 +88,8 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 @cache
 def words(table: type[Table]) -> Mapping[str, tuple[str, str]]:
     """What each key of a table is and what it accepts, by the name that the key has in TOML."""
-    _, _, given = (table.__doc__ or "").partition("Attributes:\n")
-    entries = re.split(r"\n {8}(?=\w)", f"\n{given.rstrip()}")[1:]
+    _, _, given = cleandoc(table.__doc__ or "").partition("Attributes:\n")  # as compilers from 3.13 on leave it
+    entries = re.split(r"\n {4}(?=\w)", f"\n{given}")[1:]
     said = {name: " ".join(text.split()) for name, _, text in (entry.partition(":") for entry in entries)}
     found, hints = dict[str, tuple[str, str]](), get_type_hints(table, include_extras=True)
     for key, name in zip(table.__struct_encode_fields__, table.__struct_fields__, strict=True):
