@@ -115,6 +115,16 @@ def test_programs_and_scenes_of_pages_name_what_is_there() -> None:
         parse_scene(scene, page)
 
 
+def test_every_test_that_a_promise_names_is_there() -> None:
+    tests = {path.name: path.read_text(encoding="utf-8") for path in Path(__file__).parents[1].rglob("*.py")}
+    for page in ("promises", "promises_of_files"):
+        file = ""
+        for module, function in re.findall(r"(test_\w+\.py)|\b(test_\w+)`", PAGES[page].read_text(encoding="utf-8")):
+            file = module or file
+            assert file in tests, file
+            assert not function or f"def {function}(" in tests[file], (file, function)
+
+
 def test_pages_are_read_in_one_go_and_pictures_are_small() -> None:
     words = {name: len(path.read_text(encoding="utf-8").split()) for name, path in PAGES.items()}
     assert {name for name, count in words.items() if count >= MOST_WORDS} <= set(REFERENCES)
