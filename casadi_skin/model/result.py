@@ -38,8 +38,13 @@ def in_turn(function: Callable[P, T]) -> Callable[P, T]:
 
     @functools.wraps(function)
     def alone(*arguments: P.args, **options: P.kwargs) -> T:
-        with TURN:
+        held = list[bool]()
+        try:  # from 3.14 on `with` may be interrupted when it has the lock and would not give it back: this is one call
+            held.extend(map(TURN.acquire, (True,)))
             return function(*arguments, **options)
+        finally:
+            if held:
+                TURN.release()
 
     return alone
 
