@@ -194,17 +194,18 @@ class Derivatives:
             by_states = places[columns.rows] + row * columns.owners
             by_parameters = (places + row * np.arange(groups, groups + len(given))[:, None]).ravel()
             seeds, known = block_diag(columns.seeds, np.eye(len(given))), Group.of((*states, *given))
-            found = self.instance.points(1, self._rates, known, seeds, (by_states, by_parameters))
+            found = self.instance.points(1, self._rates, known, seeds, (by_states, by_parameters)[: 1 + by_given])
             self._seeds[columns, by_given] = found
         return self._seeds[columns, by_given]
 
     def at_once(self, of_jacobian: bool) -> Points | None:
-        """A point for the numbers, or for their Jacobians where all of these are the FMU's own."""
+        """A point for the numbers, or for those of their Jacobians that are the FMU's own; None where none is."""
         if not of_jacobian:
             places = np.arange(self.size) if self._wanted is None else self._wanted.places
             return self.instance.points(1, self._wanted, parts=(places,))
-        own = self.by_states == self.by_parameters == "directional"
-        return self._along_columns(self._by_states, bool(self.instance.given)) if own else None
+        if self.by_states == "differences":
+            return None
+        return self._along_columns(self._by_states, self.by_parameters == "directional" and bool(self.instance.given))
 
     # Checks -----------------------------------------------------------------------------------------------------------
 
@@ -273,15 +274,19 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
         self._given = [dense(size, 1) for size in (*sizes, *([rows] if of_jacobian else []))]
         self._jacobian: Any = None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
         self._results: tuple[ca.Sparsity, ...]
-        self._values: tuple[Callable[[float, Array, Array], Array], ...]
+        values: tuple[Callable[[float, Array, Array], Array], ...] = ()
         if of_jacobian:
             by_time = dense(rows, 1) if forced else ca.Sparsity(rows, 1)
             by_states = ca.sparsify(ca.DM(derivatives.pattern.astype(float))).sparsity()
             self._results = by_time, by_states, dense(rows, sizes[2])
-            self._values = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
+            values = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
         else:
-            self._results, self._values = (dense(rows, 1),), ()
+            self._results = (dense(rows, 1),)
         self._one = derivatives.at_once(of_jacobian)
+        first, count = int(of_jacobian), 0 if self._one is None else len(self._one.parts)
+        self._own = slice(first, first + count)  # results of the one call
+        others = [k for k in range(len(values)) if not first <= k < first + count and self._results[k].nnz()]
+        self._left = [(k, values[k]) for k in others]
         # Second derivatives are differences: only iterations use them, as the Newton matrix of CVODES' sensitivities.
         self.construct(name, {"enable_fd": of_jacobian})
 
@@ -302,11 +307,11 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
 
     def eval_buffer(self, arguments: Sequence[Bytes], results: Sequence[Bytes]) -> int:
         if self._one is not None:
-            self.derivatives.instance.answer(self._one, arguments, results[-len(self._one.parts) :])
-            results = results[: -len(self._one.parts)]
-        if any(results):
+            self.derivatives.instance.answer(self._one, arguments, results[self._own])
+        if self._left:
             t, x, p = (np.frombuffer(a) if a else zeros for a, zeros in zip(arguments, self._zeros, strict=False))
-            for result, value in zip(results, self._values, strict=False):
+            for k, value in self._left:
+                result = results[k]
                 if result:
                     np.frombuffer(result)[:] = value(float(t[0]), x, p)
         return 0

@@ -6,6 +6,7 @@
 #include "kernel.h"
 
 /* Functions of the standard; those of FMI 3.0 are told how many numbers there are beside how many variables. */
+typedef void any_function(void);
 typedef int set_time(void *, double);
 typedef int set_states(void *, const double *, size_t);
 typedef int get_states(void *, double *, size_t);
@@ -22,9 +23,9 @@ typedef struct {
     void *instance;
     set_time *to_time;
     set_states *to_states;
-    void *set;
+    any_function *set; /* of reals or of floats, as the two below */
     get_states *derivatives;
-    void *get, *directional;
+    any_function *get, *directional;
 } component;
 
 typedef struct {
