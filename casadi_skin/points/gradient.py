@@ -363,7 +363,7 @@ def _with_errors(
         best = found(problem, z)
     alone = finer is None and not isinstance(problem, AlgebraicProblem)  # on the finest mesh that there is
     off, generator = np.abs(best - own) + (np.inf if alone else 0.0), np.random.default_rng(0)
-    if not Equations.of(problem).exact:
+    if Equations.of(problem).differs:
         off = off + np.abs(found(problem, z, WIDER_DIFFERENCES) - best)
     solve = BorderedSolver.of(problem).factor(z, problem.evaluate(z)[1], problem.parameter_row())
     rounding, probes = np.broadcast_to(problem.rounding(z), problem.size - 1), []

@@ -129,6 +129,11 @@ class Equations:
             by_c[place] = rate
         return by_z, by_c
 
+    @property
+    def differs(self) -> bool:
+        """Whether some derivatives are differences."""
+        return not self.exact
+
     def by_switching(self, value: Callable[[Any], Array]) -> dict[int, Array]:
         """Derivatives of a value of equations by parameters, by place, that move the times where the field switches."""
         return {}
@@ -194,6 +199,10 @@ class OfCollocation(Equations):
     def matrix(self, z: Array) -> Any:
         return Linearised(self.problem, z, self.problem.statement).matrix
 
+    @property
+    def differs(self) -> bool:
+        return not self.exact or bool(self.problem.statement.switching.size)
+
     def by_switching(self, value: Callable[[Any], Array]) -> dict[int, Array]:
         """By differences on meshes whose edges move along: at a held mesh such a parameter does nothing."""
         p, statement, found = self.problem, self.problem.statement, dict[int, Array]()
@@ -204,7 +213,7 @@ class OfCollocation(Equations):
             return value(OfCollocation(BoundaryProblem(moved, *given).with_constants(p.constants)))
 
         for place, name in enumerate(self.names if statement.switching.size else ()):
-            h = SWITCHING_STEP * (abs(statement.values[name]) or 1.0)
+            h = self.widening * SWITCHING_STEP * (abs(statement.values[name]) or 1.0)
             moved = statement.with_parameters(**{name: statement.values[name] + h}).switching
             if not np.array_equal(moved, statement.switching):
                 found[place] = central(partial(at, name=name), h)
