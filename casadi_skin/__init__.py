@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from casadi_skin._version import __version__
@@ -155,5 +154,5 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that reading a scene or `--help` does not load CasADi."""
     for place, names in PLACES.items():
         if name in names:
-            return getattr(import_module(f"casadi_skin.{place}"), name)
+            return getattr(__import__(f"casadi_skin.{place}", fromlist=[name]), name)  # also where it is a module
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
