@@ -210,12 +210,14 @@ def _connections(
 
 def places_of(space: SolutionSpace, period: Sequence[Stay]) -> list[Array]:
     """Different equilibria of stays; those of states that turn are the same a turn apart."""
-    turns = np.array(space._orbit_of().turns or np.zeros(len(period[0].rest.x)))
+    turning = np.array(space._orbit_of().turns or np.zeros(len(period[0].rest.x))) != 0
     found: list[Array] = []
-    for stay in period:
-        x = stay.rest.x
-        x = np.where(turns != 0, np.pi - np.mod(np.pi - x, 2.0 * np.pi), x)
-        if not any(np.allclose(x, other, rtol=1e-6, atol=1e-6 * np.max(np.abs(x))) for other in found):
+
+    def in_turn(x: Array) -> Array:
+        return np.where(turning, np.pi - np.mod(np.pi - x, 2.0 * np.pi), x)
+
+    for x in (in_turn(stay.rest.x) for stay in period):
+        if not any(np.all(np.abs(in_turn(x - other)) <= 1e-6 * np.max(np.abs(x))) for other in found):
             found.append(x)
     return found
 

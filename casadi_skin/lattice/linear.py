@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -312,7 +313,9 @@ def _given_squares(lattice: Lattice, squares: ArrayLike) -> ComplexArray:
     check_instance("lattice", lattice, Lattice)
     if len(lattice.declaration.cells) != 1:
         raise ValueError(f"lattice: given {len(lattice.declaration.cells)} dimensions; accepted: one")
-    with suppress(ValueError):  # rows of different lengths, which are refused below
+    # Rows of different lengths, and expressions, are refused below.
+    with suppress(ValueError, FutureWarning), warnings.catch_warnings():
+        warnings.simplefilter("error", FutureWarning)
         if np.iscomplexobj(squares):
             return np.atleast_1d(np.asarray(squares, dtype=complex))
     return np.atleast_1d(real_array("squares", squares)).astype(complex)

@@ -213,7 +213,7 @@ def test_an_orbit_of_a_chain_is_followed_in_its_nonreciprocity(run: Runs) -> Non
         lambda t, s: [*s[3:], *chain_forces(s[:3], 0.4)], (0.0, 5.0), [*last, 0, 0, 0], rtol=1e-11, atol=1e-12
     )
     np.testing.assert_allclose([y[-1] for y in motion], flow.y[:3, -1], atol=1e-7)
-    weights, y = (0.6 / 1.4) ** np.arange(3), np.array(last)  # of the gauge, and the energy at rest
+    weights, y = (1.4 / 0.6) ** np.arange(2, -1, -1), np.array(last)  # of the gauge, as of its family; at rest
     energy = weights @ (1.5 * y**2 + y**4 / 4) - 0.6 * weights[:2] @ (y[:-1] * y[1:])
     np.testing.assert_allclose(energies, energy, rtol=1e-9)
     assert (run.out / "special_points.csv").read_text(encoding="utf-8") == "kind,gamma,error,period\n"
