@@ -45,12 +45,12 @@ if TYPE_CHECKING:
     from casadi_skin.runs.map import run_map as run_map
     from casadi_skin.runs.map_result import Map as Map, read_map as read_map
     from casadi_skin.search.design import Design as Design
-    from casadi_skin.search.designs import ParetoFront as ParetoFront, optimise as optimise
-    from casadi_skin.search.designs import pareto_front as pareto_front
+    from casadi_skin.search.designs import optimise as optimise
     from casadi_skin.search.fit import Fit as Fit, fit_parameters as fit_parameters
     from casadi_skin.search.kick import KickError as KickError, SmallestKick as SmallestKick
     from casadi_skin.search.kick import smallest_kick as smallest_kick
     from casadi_skin.search.orbit_search import search_orbit as search_orbit
+    from casadi_skin.search.pareto import ParetoFront as ParetoFront, pareto_front as pareto_front
     from casadi_skin.stability.growth import TransientGrowth as TransientGrowth
     from casadi_skin.stability.result import Floquet as Floquet
     from casadi_skin.zero.statement import BoundaryValueProblem as BoundaryValueProblem
@@ -87,10 +87,11 @@ PLACES = {  # modules of public names, each imported when one of its names is fi
     "runs.map": ("run_map",),
     "runs.map_result": ("Map", "read_map"),
     "search.design": ("Design",),
-    "search.designs": ("ParetoFront", "optimise", "pareto_front"),
+    "search.designs": ("optimise",),
     "search.fit": ("Fit", "fit_parameters"),
     "search.kick": ("KickError", "SmallestKick", "smallest_kick"),
     "search.orbit_search": ("search_orbit",),
+    "search.pareto": ("ParetoFront", "pareto_front"),
     "stability.growth": ("TransientGrowth",),
     "stability.result": ("Floquet",),
     "zero.statement": ("BoundaryValueProblem",),

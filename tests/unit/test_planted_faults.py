@@ -14,7 +14,7 @@ from scipy.special import erf
 from casadi_skin import Bond, BoundaryValueProblem, Chain, Lattice, OdeModel, Site, evolve, follow_family
 from casadi_skin.dynamics.starts import spreading
 from casadi_skin.follow.find import packed, space_of
-from casadi_skin.search.designs import undominated
+from casadi_skin.search.pareto import undominated
 from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.zero.stated_problem import BoundaryProblem
 
