@@ -22,9 +22,9 @@ from casadi_skin.results.figures.multipliers import draw_moduli
 from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows, series_columns
 from casadi_skin.search.design import Design
-from casadi_skin.search.pareto import ParetoFront
 from casadi_skin.search.fit import Fit
 from casadi_skin.search.kick import SmallestKick
+from casadi_skin.search.pareto import ParetoFront
 from casadi_skin.stability.growth import TransientGrowth
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.zero.kinds import count_in_words

@@ -20,7 +20,7 @@ from casadi_skin.zero.problem import Array
 ENGINE = "SLSQP on gradients of located solutions"
 FEASIBLE = 1e-9  # violation of a constraint, relative to its gradient
 SAME_DESIGN_RTOL = 1e-5  # of the ranges: distance of designs that are one
-SAME_VALUE_RTOL = 1e-4  # relative to 1 or more: difference of their values and frequencies
+SAME_VALUE_RTOL = 1e-4  # of the largest on their ways: difference of their values; and of their frequencies
 NAMES_IN_SCRIPTS = {"objective": "value", "orbit": "solution", "orbits": "located"}  # as they stand in older ones
 
 
@@ -144,9 +144,15 @@ class Design(Result):
         low, high = np.array(list(self.bounds.values())).T
         own = np.max(np.abs(np.vstack([self.path, other.path])), axis=0)  # of the numbers on the way
         scale = np.where(np.isfinite(high - low), high - low, np.where(own > 0.0, own, 1.0))
-        one, two = ([d.value, *(known.get("Omega", 0.0) for known in d.quantities)] for d in (self, other))
+        one, two = ([known.get("Omega", 0.0) for known in d.quantities] for d in (self, other))
         near = np.max(np.abs(self.path[-1] - other.path[-1]) / scale) <= SAME_DESIGN_RTOL
-        return bool(near) and np.allclose(one, two, SAME_VALUE_RTOL, SAME_VALUE_RTOL)
+        return bool(near) and np.allclose(one, two, SAME_VALUE_RTOL, 0.0) and same_value(self, other)
+
+
+def same_value(one: Any, other: Any) -> bool:
+    """Whether two ends of starts, designs or points of programmes, have the same value."""
+    largest = np.max(np.abs([*one.values, *other.values]))
+    return bool(abs(one.values[-1] - other.values[-1]) <= SAME_VALUE_RTOL * largest)
 
 
 def inequalities(multipliers: Mapping[str, float]) -> tuple[str, ...]:

@@ -388,7 +388,9 @@ class Search:
         return float(rows[0] + held + EPSILON * abs(self.values[-1])), left
 
     def _optimum(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
-        problem, multipliers, (_, things, rows) = self.problem, dict[str, float](), vars(self.known[-1]).values()
+        problem, multipliers, place = self.problem, dict[str, float](), self.known[-1]
+        things, rows = place.things, place.rows
+        assert rows is not None
         for bound, weight in conditions.bounds:
             multipliers[bound.words] = multipliers.get(bound.words, 0.0) + self.sign * bound.side * weight
         ending, reason = Ending.FOUND, optimum_words(multipliers)

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.search.conditions import Condition
-from casadi_skin.search.design import Ending, inequalities
+from casadi_skin.search.design import Ending, inequalities, same_value
 from casadi_skin.solve.ipopt import SOLVED_STATUS, IterationCallback, Monitor, nlp_reason, nlp_solver
 from casadi_skin.zero.problem import Array, Indices
 
@@ -351,7 +351,7 @@ def _null_space(J: Any) -> Array:
 # Starts, and where each leads -----------------------------------------------------------------------------------------
 
 CONVERGED = 1e-7  # residual of an optimum, whatever Ipopt says of it
-SAME_OPTIMUM_RTOL = 1e-4  # distance of places, and relative difference of objectives, below which two optima are one
+SAME_OPTIMUM_RTOL = 1e-4  # distance of places below which two optima of the same value are one
 LARGEST_PLACE = 1e8  # from which on a free number, in units of its range or its own, is on its way to infinity
 SEARCH_ENDINGS: Mapping[str, Ending] = {
     STOPPED_STATUS: Ending.INTERRUPTED,
@@ -412,8 +412,7 @@ class Outcome:
 
     def is_near(self, other: Outcome) -> bool:
         """Whether two outcomes are one optimum: the same place, and the same value of the objective."""
-        near = np.max(np.abs(self.place - other.place)) <= SAME_OPTIMUM_RTOL
-        return bool(near and abs(self.objective - other.objective) <= SAME_OPTIMUM_RTOL * max(1.0, abs(self.objective)))
+        return bool(np.max(np.abs(self.place - other.place)) <= SAME_OPTIMUM_RTOL) and same_value(self, other)
 
 
 class Startable(Protocol):

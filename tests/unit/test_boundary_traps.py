@@ -155,13 +155,17 @@ def test_a_small_solution_is_found_from_zeros(size: float, corrector: str) -> No
     assert solution.error < 1e-8
 
 
-def test_optima_at_one_place_with_other_values_are_two() -> None:
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_optima_at_one_place_with_other_values_are_two_in_any_unit(unit: float) -> None:
     """Two orbits of a forced model may share period and parameters."""
     place, none = np.array([1.0, 6.0]), np.zeros(0)
     one, other = (
-        Outcome(Start(1, (1.0,)), Ending.FOUND, "", none, none, Solution(none, none, none, value, "", 1), place)
+        Outcome(
+            Start(1, (1.0,)), Ending.FOUND, "", none, unit * np.array([0.6, value]),
+            Solution(none, none, none, unit * value, "", 1), place,
+        )
         for value in (0.5, 0.4)
-    )
+    )  # fmt: skip
     assert not one.is_near(other)
     assert one.is_near(one)
 
