@@ -479,11 +479,11 @@ class BoundarySpace(ParameterSpace):
         where CVODES fails.
         """
         name = str(self.method.flow) if by is None else by
-        check_name("by", name, FULL_PERIOD_FLOWS)
+        check_name("flow", name, FULL_PERIOD_FLOWS)
         for words in filter(None, map(self.jump, points)):
             raise JumpError(self.model, f"{words}, along the orbit, where linearised equations have no multipliers")
         if self.closure is not None and by not in (None, "collocation"):
-            raise ValueError(f"by: given {by!r} with a boundary-value problem; accepted: collocation")
+            raise ValueError(f"flow: given {by!r} with a boundary-value problem; accepted: collocation")
         try:
             return [self._floquet(point, name) for point in points]
         except IntegrationError as error:

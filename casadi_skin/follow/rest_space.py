@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,11 +22,20 @@ from casadi_skin.follow.solution import Equilibrium, Solution, following_setting
 from casadi_skin.follow.space import EQUILIBRIA, EquilibriumError, ParameterSpace, corrector_of, of_last_points
 from casadi_skin.follow.special_points import SpecialPoint, check_second
 from casadi_skin.model import methods
-from casadi_skin.model.arguments import by_name, check_name, number, number_within, short_repr, state_by_name, whole
+from casadi_skin.model.arguments import (
+    by_name,
+    check_name,
+    number,
+    number_within,
+    numbers,
+    short_repr,
+    state_by_name,
+    whole,
+)
 from casadi_skin.model.integrators import simulated
 from casadi_skin.model.jumps import PARAMETER, STATE, JumpError
 from casadi_skin.model.ode import OdeModel, model_of
-from casadi_skin.model.result import NoQuantityError, in_turn
+from casadi_skin.model.result import NoQuantityError, in_turn, renamed
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.watch import one_thread
@@ -392,11 +402,12 @@ def find_equilibrium(
         return _settled(statics, start, number("transient", transient), float(tolerance), corrector)
 
 
+@renamed(lower="bounds")
 @in_turn
 def find_equilibria(
     model: OdeModel | Chain,
-    lower: ArrayLike,
-    upper: ArrayLike,
+    bounds: Mapping[str, tuple[float, float]],
+    upper: ArrayLike | None = None,
     *,
     starts: int = 64,
     seed: int = 0,
@@ -408,7 +419,8 @@ def find_equilibria(
 
     Arguments:
         model: as in `find_equilibrium`.
-        lower, upper: corners of the box, one number a state or by state name; equilibria may lie outside.
+        bounds: (lower, upper) by state name, of each: a box, beyond which equilibria may lie.
+        upper: until version 0.4 the upper corner of the box, its lower one in place of bounds.
         starts: number of starts, spread by a Sobol sequence.
         seed: of its scrambling.
         parameters, tolerance, corrector: as in `find_equilibrium`.
@@ -424,10 +436,15 @@ def find_equilibria(
     statics = _statics(model, parameters)
     model = statics.model
     _check(tolerance, corrector)
-    low, high = positions_of(model, lower, "lower"), positions_of(model, upper, "upper")
+    if upper is None:
+        low, high = _corners(bounds, model.state_names[: statics.size])
+    else:
+        words = "find_equilibria: lower and upper are bounds, (lower, upper) by name, and taken until version 0.4"
+        warnings.warn(words, DeprecationWarning, stacklevel=4)
+        low, high = positions_of(model, bounds, "lower"), positions_of(model, upper, "upper")
+        if not np.all(low <= high):
+            raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")
     statics = statics.decaying(0.5 * (low + high))
-    if not np.all(low <= high):
-        raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")
     whole("starts", starts, 1, MOST_STARTS)
     whole("seed", seed, 0)
     space = EquilibriumSpace(statics, float(tolerance), corrector, sizes_of(statics, [low, high]))
@@ -443,6 +460,23 @@ def find_equilibria(
             if min(apart, default=np.inf) > SAME_EQUILIBRIUM_DISTANCE:
                 found.append(equilibrium)
     return tuple(sorted(found, key=lambda equilibrium: tuple(equilibrium.positions)))
+
+
+def _corners(bounds: Any, names: Sequence[str]) -> tuple[Array, Array]:
+    """Lower and upper ends by name as arrays, shape (n,) each; raises ValueError and TypeError for what is none."""
+    pairs = by_name("bounds", bounds, "(lower, upper)")
+    for name in pairs:
+        check_name("bounds", name, names)
+    for name in names:
+        if name not in pairs:
+            raise ValueError(f"bounds: given none of {name}; accepted: (lower, upper) of each of {', '.join(names)}")
+    ends = [numbers(f"bounds, {name}", pairs[name]) for name in names]
+    for name, pair in zip(names, ends, strict=True):
+        if len(pair) != 2 or pair[0] > pair[1]:
+            given = short_repr(pairs[name])
+            raise ValueError(f"bounds: given {given} for {name}; accepted: (lower, upper), lower <= upper")
+    low, high = np.array(ends).T
+    return low, high
 
 
 def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:

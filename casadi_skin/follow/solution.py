@@ -16,7 +16,7 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.model.declarations import check_forcing_period
 from casadi_skin.model.expressions import at_instants, instants, site_numbers
 from casadi_skin.model.ode import OdeModel, centred_model
-from casadi_skin.model.result import NoQuantityError, Result
+from casadi_skin.model.result import NoQuantityError, Result, renamed
 from casadi_skin.stability.growth import TransientGrowth, transient_growth
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero import mesh
@@ -193,11 +193,12 @@ class Solution(Result):
 
     # Stability ------------------------------------------------------------------------------------------------------
 
-    def floquet(self, by: str | None = None) -> Floquet:
+    @renamed(by="flow")
+    def floquet(self, flow: str | None = None) -> Floquet:
         """Linear stability: multipliers, and the kind of an instability.
 
         Arguments:
-            by: name of the flow map; that of the branch by default. Of an orbit of a family one of
+            flow: name of the flow map; that of the branch by default. Of an orbit of a family one of
                 `methods.FLOWS`, of another "collocation" or "cvodes".
 
         Returns:
@@ -209,8 +210,8 @@ class Solution(Result):
             FlowError: the flow map cannot reach the tolerance.
             ValueError: there is no such flow map, or the solution does not close.
         """
-        if by is not None:
-            return self._computed(by)
+        if flow is not None:
+            return self._computed(flow)
         return self._floquet
 
     @cached_property

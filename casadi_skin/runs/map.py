@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.arguments import file_path, needs_extra, short_repr, truth, whole
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.model.result import in_turn
+from casadi_skin.model.result import in_turn, renamed
 from casadi_skin.runs.binding import bind
 from casadi_skin.runs.directory import (
     JOURNAL_FILE,
@@ -421,9 +421,10 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
 
 
+@renamed(out="path")
 def run_map(
     scene: str | Path,
-    out: str | Path | None = None,
+    path: str | Path | None = None,
     *,
     workers: int = 1,
     scheduler: str | None = None,
@@ -439,7 +440,7 @@ def run_map(
 
     Arguments:
         scene: path of the scene.
-        out: directory of the results; results/NAME-OF-THE-SCENE unless given.
+        path: directory of the results; results/NAME-OF-THE-SCENE unless given.
         workers: processes on this machine.
         scheduler: address of a dask scheduler, whose workers compute the cells; needs the extra `cluster`.
         executor: any `concurrent.futures.Executor`, which computes the cells.
@@ -458,13 +459,13 @@ def run_map(
         ImportError: dask is not installed.
         OSError: no scheduler answers, or a file cannot be written; computed cells are kept.
     """
-    path = file_path("scene", scene)
-    directory = Path("results") / path.stem if out is None else file_path("out", out)
+    file = file_path("scene", scene)
+    directory = Path("results") / file.stem if path is None else file_path("path", path)
     for name, value in (("collect", collect), ("resume", resume), ("overwrite", overwrite), ("pictures", pictures),
                         ("quiet", quiet)):  # fmt: skip
         truth(name, value)
     existing = Existing.RESUME if resume else Existing.OVERWRITE if overwrite else Existing.REFUSE
-    mapping = MapRun(path, directory, workers, scheduler, executor, part, collect, existing, pictures)
+    mapping = MapRun(file, directory, workers, scheduler, executor, part, collect, existing, pictures)
     with Progress(quiet) as progress:
         return mapping.execute(progress)
 

@@ -17,7 +17,7 @@ from casadi_skin.dynamics.evolve import distance_from_orbit, evolve
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
-from casadi_skin.model.result import Result, in_turn
+from casadi_skin.model.result import Result, in_turn, renamed
 from casadi_skin.search.cosine_orbit import CosineOrbit
 from casadi_skin.search.design import Ending, grouped
 from casadi_skin.search.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
@@ -266,15 +266,15 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int, se
         )
 
 
-def kicked_sites(orbit: Orbit, at: int | Iterable[int] | None) -> Indices:
+def kicked_sites(orbit: Orbit, sites: int | Iterable[int] | None) -> Indices:
     """Indices of the sites that may be kicked."""
     count = orbit.model.sites
-    if at is None:
+    if sites is None:
         return np.arange(count)
-    refused = f"at: given {short_repr(at)}; accepted: one or more different sites 1..{count}"
-    if isinstance(at, bool) or not isinstance(at, int | np.integer | list | tuple | range | np.ndarray):
+    refused = f"sites: given {short_repr(sites)}; accepted: one or more different sites 1..{count}"
+    if isinstance(sites, bool) or not isinstance(sites, int | np.integer | list | tuple | range | np.ndarray):
         raise TypeError(refused)
-    given = np.atleast_1d(np.asarray(at, dtype=object)).ravel().tolist()
+    given = np.atleast_1d(np.asarray(sites, dtype=object)).ravel().tolist()
     known = all(isinstance(n, int) and not isinstance(n, bool) and 1 <= n <= count for n in given)
     if not given or not known or len(set(given)) < len(given):
         raise ValueError(refused)
@@ -385,6 +385,7 @@ class SmallestKick(Result):
         return escape(self.orbit, self.best.kick if kick is None else kick, sampled(self.orbit, self.time))
 
 
+@renamed(at="sites")
 @in_turn
 def smallest_kick(
     orbit: Orbit,
@@ -392,7 +393,7 @@ def smallest_kick(
     *,
     distance: float = 0.5,
     norm: str = "physical",
-    at: int | Iterable[int] | None = None,
+    sites: int | Iterable[int] | None = None,
     starts: int = 8,
     seed: int = 0,
     progress: Report | None = None,
@@ -407,7 +408,7 @@ def smallest_kick(
         distance: relative to ||y(0)||, below the orbit's reach (about 1), where the nearest phase is unique.
         norm: "physical", that of (positions, velocities), or "energy": the root of twice the quadratic part of the
             Hamiltonian of the gauge.
-        at: sites that may be kicked, counted from 1; all by default.
+        sites: those that may be kicked, counted from 1; all by default.
         starts: number of starts: first linear optima and the far end, then random directions.
         seed: of these.
         progress: called with a `SearchProgress`, whose objective is the norm, at iterations and ends of starts.
@@ -423,13 +424,13 @@ def smallest_kick(
     """
     check(orbit, time, distance, norm, starts, seed)
     runner = Runner(progress, workers, executor, lost_start)
-    sites = kicked_sites(orbit, at)
+    kicked = kicked_sites(orbit, sites)
     flow = KickedFlow.up_to(orbit, float(time))
     farthest_known = REACH_SHARE * reach(flow.curve)
     if not distance < farthest_known:
         words = f"below {farthest_known:.4g}, within which the nearest phase of this orbit is unique"
         raise ValueError(f"distance: given {distance!r}; accepted: {words}")
-    basis, S = _basis(orbit, norm, sites), float(np.sqrt(orbit.S))
+    basis, S = _basis(orbit, norm, kicked), float(np.sqrt(orbit.S))
     t, gains, vectors = replace(flow, steps=GAIN_STEPS * flow.steps).linear_gains(basis)
     peak = int(np.argmax(gains[:, 0]))
     scale = float(distance / gains[peak, 0])

@@ -119,7 +119,7 @@ class FamilyStability(ABC):
             ValueError: there is no such flow map.
         """
         if by is not None:
-            check_name("by", by, FLOWS)
+            check_name("flow", by, FLOWS)
         if self.coordinates.localised is not None:
             with one_thread():
                 return [self._localised(self.coordinates.localised, point, by) for point in points]

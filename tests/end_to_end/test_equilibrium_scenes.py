@@ -163,7 +163,7 @@ def test_the_example_of_roessler_follows_its_period_doublings(run: Runs) -> None
     model = OdeModel("Roessler", ca.vertcat(x, y, z), ca.vertcat(-y - z, x + a * y, 0.2 + z * (x - c)), c)
     cycle = simulate(model, [3.0, 0.0, 0.0], np.linspace(0.0, 200.0, 4001), parameters={"c": at - 0.2}).last_cycle()
     orbit = find_orbit(model, cycle, parameters={"c": at - 0.2}).follow("c", at).orbits[-1]
-    assert np.min(np.abs(orbit.floquet(by="cvodes").multipliers + 1.0)) < 1e-5
+    assert np.min(np.abs(orbit.floquet(flow="cvodes").multipliers + 1.0)) < 1e-5
 
 
 def test_a_requested_value_that_is_a_special_point_is_one_in_the_tables(run: Runs) -> None:

@@ -160,7 +160,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     ),
     "find_equilibria": (
         lambda: find_equilibria,
-        {"model": VAN_DER_POL, "lower": [-1.0, -1.0], "upper": [1.0, 1.0], "starts": 2, "seed": 0,
+        {"model": VAN_DER_POL, "bounds": {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, "starts": 2, "seed": 0,
          "parameters": {"mu": 0.1}, "tolerance": 1e-8, "corrector": "newton"},
     ),
     "find_orbit": (
@@ -234,7 +234,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     "third_harmonic_leads": (lambda: third_harmonic_leads, {"branch": branch(), "coordinates": "gauge"}),
     "smallest_kick": (
         lambda: smallest_kick,
-        {"orbit": None, "time": 1.0, "distance": 0.5, "norm": "physical", "at": None, "starts": 1, "seed": 0,
+        {"orbit": None, "time": 1.0, "distance": 0.5, "norm": "physical", "sites": None, "starts": 1, "seed": 0,
          "progress": None, "workers": 1, "executor": None},
     ),
     "export_c": (
@@ -253,7 +253,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     ),
     "run_map": (
         lambda: run_map,
-        {"scene": "missing.toml", "out": "map", "workers": 1, "scheduler": None, "executor": None, "part": None,
+        {"scene": "missing.toml", "path": "map", "workers": 1, "scheduler": None, "executor": None, "part": None,
          "collect": False, "resume": False, "overwrite": False, "pictures": False, "quiet": True},
     ),
     "save_model": (lambda: save_model, {"model": SPRING, "path": "spring.json"}),
@@ -266,7 +266,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     "Orbit.evaluate": (lambda: orbit().evaluate, {"t": [0.0, 1.0], "sites": None}),
     "Orbit.coefficients": (lambda: branch().orbits[-1].coefficients, {"harmonics": 3, "sites": None}),
     "Orbit.log10_displacements": (lambda: branch().orbits[-1].log10_displacements, {"sites": None}),
-    "Orbit.floquet": (lambda: orbit().floquet, {"by": None}),
+    "Orbit.floquet": (lambda: orbit().floquet, {"flow": None}),
     "Orbit.transient_growth": (lambda: branch().orbits[-1].transient_growth, {"quarters": 2}),
     "Orbit.follow": (
         lambda: find_orbit(VAN_DER_POL, circle, 6.3, tolerance=1e-2, corrector="newton").follow,

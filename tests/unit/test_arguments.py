@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from casadi_skin import Chain, build_c, export_c, export_fmu, read_map, search_orbit
+from casadi_skin import (
+    Chain,
+    Solution,
+    build_c,
+    export_c,
+    export_fmu,
+    find_equilibria,
+    read_map,
+    run_map,
+    search_orbit,
+    smallest_kick,
+)
 from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, cut, nearest, short_repr
 
 NAMES = ("Omega", "S", "gamma", "participation")
@@ -64,11 +76,15 @@ def test_older_names_of_arguments_work_and_the_warning_names_the_new_one(tmp_pat
         (read_map, {"directory": 3}, "path", "path: given 3"),
         (build_c, {"directory": 3}, "path", "path: given 3"),
         (search_orbit, {"chain_or_model": 3, "free": ["mu"]}, "model", "model: given 3"),
+        (run_map, {"out": 3, "scene": tmp_path / "a.toml"}, "path", "path: given 3"),
+        (smallest_kick, {"at": 3, "orbit": 3, "time": 1.0}, "sites", "orbit: given 3"),
+        (find_equilibria, {"lower": 3, "model": chain}, "bounds", "bounds: given 3"),
+        (partial(Solution.floquet, None), {"by": "cvodes"}, "flow", "no attribute '_computed'"),
         (export_fmu, {"what": 3, "path": tmp_path / "a.fmu"}, "source", "source: given 3"),
     ]
     for call, given, name, words in calls:
         told = pytest.warns(DeprecationWarning, match=f"is called {name}; ")
-        with told as warned, pytest.raises(TypeError, match=words):
+        with told as warned, pytest.raises((TypeError, AttributeError), match=words):
             call(**given)
         assert [warning.filename for warning in warned] == [__file__]  # the place of the caller
     told = pytest.warns(DeprecationWarning, match="is called path; ")

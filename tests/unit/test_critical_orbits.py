@@ -325,7 +325,7 @@ def test_tori_of_a_forced_oscillator_have_the_multipliers_of_their_resonances() 
     known = {"1:1 resonance": 1.0, "1:4 resonance": 1j, "1:3 resonance": np.exp(2j * np.pi / 3)}
     assert [point.kind for point in found] == list(known)
     for point, multiplier in zip(found, known.values(), strict=True):
-        values = point.solution.floquet(by="cvodes").multipliers
+        values = point.solution.floquet(flow="cvodes").multipliers
         assert np.min(np.abs(values - multiplier)) < 1e-4  # the square root of what CVODES leaves, where two are 1
 
 

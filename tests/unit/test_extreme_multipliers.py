@@ -182,9 +182,9 @@ def test_tables_have_logarithms_where_doubles_hold_no_multiplier() -> None:
 @pytest.mark.filterwarnings("ignore::casadi_skin.stability.result.HugeMultiplierWarning")
 def test_multipliers_that_sensitivities_do_not_hold_are_named() -> None:
     with pytest.raises(FlowError, match=r"a multiplier of 1e\+347 exceeds the largest double; accepted: by = 'colloc"):
-        decaying([800.0, -1.0]).floquet(by="cvodes")
+        decaying([800.0, -1.0]).floquet(flow="cvodes")
     with pytest.warns(LostMultiplierWarning, match="1 of the multipliers by cvodes are smaller than errors"):
-        floquet = decaying([-800.0, -1.0]).floquet(by="cvodes")
+        floquet = decaying([-800.0, -1.0]).floquet(flow="cvodes")
     assert np.max(floquet.log10_abs_multipliers) * np.log(10.0) == pytest.approx(-1.0, rel=1e-7)
-    with pytest.raises(ValueError, match="by: given 'cvodes' with a boundary-value problem; accepted: collocation"):
-        turning([0.5, -1.0]).floquet(by="cvodes")
+    with pytest.raises(ValueError, match="flow: given 'cvodes' with a boundary-value problem; accepted: collocation"):
+        turning([0.5, -1.0]).floquet(flow="cvodes")

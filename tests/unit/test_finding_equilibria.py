@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import mpmath
 import numpy as np
@@ -49,11 +51,36 @@ def test_equilibria_from_a_guess_by_name_from_a_simulation_and_from_another_mode
 
 
 def test_several_starts_find_the_three_equilibria_of_lorenz() -> None:
-    found = find_equilibria(lorenz(), [-20, -20, 0], [20, 20, 40], parameters={"r": 28.0}, starts=32)
+    found = find_equilibria(lorenz(), {"x": (-20, 20), "y": (-20, 20), "z": (0, 40)}, parameters={"r": 28.0}, starts=32)
     assert len(found) == 3
     x = np.sqrt(8.0 / 3.0 * 27.0)
     np.testing.assert_allclose([e.state[0] for e in found], [-x, 0.0, x], atol=1e-10)
     assert not any(e.stable for e in found)
+
+
+def test_a_box_of_two_corners_is_the_same_and_warns() -> None:
+    box = {"x": (-20, 20), "y": (-20, 20), "z": (0, 40)}
+    found = find_equilibria(lorenz(), box, parameters={"r": 28.0}, starts=8)
+    with pytest.warns(DeprecationWarning, match=r"lower and upper are bounds, \(lower, upper\) by name") as warned:
+        older = find_equilibria(lorenz(), [-20, -20, 0], [20, 20, 40], parameters={"r": 28.0}, starts=8)  # type: ignore
+    assert [warning.filename for warning in warned] == [__file__]
+    assert [one.state.tolist() for one in older] == [one.state.tolist() for one in found]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ({"x": (0, 1), "y": (0, 1)}, r"bounds: given none of z; accepted: \(lower, upper\) of each of x, y, z"),
+        ({"x": (0, 1), "y": (0, 1), "w": (0, 1)}, "bounds: given 'w'; accepted: x, y, z"),
+        ({"x": (0, 1), "y": (2, 1), "z": (0, 1)}, r"bounds: given \(2, 1\) for y; accepted: \(lower, upper\)"),
+        ({"x": (0, 1, 2), "y": (0, 1), "z": (0, 1)}, r"bounds: given \(0, 1, 2\) for x; accepted: \(lower, upper\)"),
+        ({"x": 1, "y": (0, 1), "z": (0, 1)}, "bounds, x: given 1; accepted: a list of finite numbers"),
+        ([(0, 1)] * 3, r"bounds: given \[.*\]; accepted: \(lower, upper\) by name"),
+    ],
+)
+def test_a_box_that_is_none_is_refused(bounds: Any, words: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=f"^{words}"):
+        find_equilibria(lorenz(), bounds, parameters={"r": 28.0})
 
 
 def test_eigenvalues_of_a_large_model_are_those_in_closed_form() -> None:

@@ -118,7 +118,7 @@ def test_cycle_of_a_circuit_whatever_the_rate(decay: float | None) -> None:
     assert found.trivial == 1
     assert abs(found.others[0] - own.others[0]) <= found.other_errors[0] + own.other_errors[0]
     assert found.trivial_deviation <= found.allowed_deviation
-    by_flow = orbit.floquet(by="cvodes")
+    by_flow = orbit.floquet(flow="cvodes")
     assert by_flow.others == pytest.approx(own.others, abs=1e-7)
 
 

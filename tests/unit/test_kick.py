@@ -134,7 +134,7 @@ def test_mirrored_chain_has_the_mirrored_kick() -> None:
 @pytest.mark.slow
 def test_the_far_end_alone_needs_more() -> None:
     time, all_sites = 2.0 * breather().period, found(2.0)
-    one = smallest_kick(breather(), time, at=1, starts=2)
+    one = smallest_kick(breather(), time, sites=1, starts=2)
     assert np.all(one.displacements[1:] == 0)
     assert np.all(one.velocities[1:] == 0)
     assert all_sites.norm < one.norm < one.far_end_norm == pytest.approx(all_sites.far_end_norm, rel=1e-9)
@@ -292,8 +292,8 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"distance": 1.5}, "nearest phase of this orbit is unique"),
     ({"distance": 1e-9}, "distance: given 1e-09"),
     ({"norm": "taxi"}, "norm: given 'taxi'; accepted: physical, energy"),
-    ({"at": 7}, "at: given 7; accepted: one or more different sites 1..6"),
-    ({"at": [1, 1]}, "different sites"),
+    ({"sites": 7}, "sites: given 7; accepted: one or more different sites 1..6"),
+    ({"sites": [1, 1]}, "different sites"),
     ({"starts": 0}, "starts: given 0"),
     ({"workers": True}, "workers: given True; accepted: a whole number >= 1"),
     ({"executor": ThreadPoolExecutor(1)}, "accepted: a concurrent.futures.Executor of processes"),

@@ -46,8 +46,8 @@ def test_the_circuit_has_the_fold_the_torus_and_the_period_doubling_of_matcont()
         assert point.solution.period == pytest.approx(period, abs=2e-5)
         assert 0.0 < point.error < 1e-12
     fold, torus, doubling = (point.solution for point in points)
-    assert abs(np.abs(torus.floquet(by="cvodes").multipliers[1]) - 1.0) < 1e-5
-    assert np.min(np.abs(doubling.floquet(by="cvodes").multipliers + 1.0)) < 1e-5
+    assert abs(np.abs(torus.floquet(flow="cvodes").multipliers[1]) - 1.0) < 1e-5
+    assert np.min(np.abs(doubling.floquet(flow="cvodes").multipliers + 1.0)) < 1e-5
     assert np.min(np.abs(fold.floquet().others - 1.0)) < 1e-9
     assert [point.criticality for point in points] == ["quadratic", "subcritical", "supercritical"]
 

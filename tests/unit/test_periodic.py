@@ -397,7 +397,7 @@ def test_a_forcing_period_after_which_the_equations_do_not_repeat_is_refused() -
 
 def test_another_way_to_multipliers_is_refused() -> None:
     orbit = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0})
-    with pytest.raises(ValueError, match="by: given 'hand'; accepted: collocation, cvodes"):
+    with pytest.raises(ValueError, match="flow: given 'hand'; accepted: collocation, cvodes"):
         orbit.floquet("hand")
 
 
