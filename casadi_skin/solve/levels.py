@@ -305,7 +305,8 @@ class Levels:
         def response() -> Array:
             return solve(np.append(finer.rounding(long_z) * finer.probe, 0.0))[None]
 
-        return OnFiner(finer, long_z[None], solve(np.append(residual, 0.0))[None], response), along
+        step = solve(np.append(residual, 0.0))[None]
+        return OnFiner(finer, long_z[None], step, response, finer.missed_between(residual)), along
 
     def all_refined(
         self, problem: Problem, z: Array, tangents: Array, held: Sequence[Scalar | None]

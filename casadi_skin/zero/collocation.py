@@ -416,6 +416,12 @@ class FirstOrderProblem(OrbitProblem):
     def _spread(self, factors: Array) -> Array:
         return np.tile(factors, self.states // factors.size)  # velocities are shown as positions are
 
+    @property
+    def measures(self) -> tuple[Array | float, ...]:
+        """The same; positions, beside which velocities of fast orbits are large, by the largest position as well."""
+        positions = self._spread(np.repeat([1.0, 0.0], [self.model.size, self.model.full_size - self.model.size]))
+        return super().measures + tuple(m * positions for m in super().measures if self.model.order == 2)
+
     def pack(self, positions: Array, Omega: float, parameter: float) -> Array:
         theta = self.phases()
         state = np.outer(np.cos(theta), positions)

@@ -104,6 +104,10 @@ class Problem(ABC):
         """Change of the state in a step from z, relative to its size; with what it misses `between` as well."""
         return float(self.profile_changes(z[None], step[None])[0])
 
+    def missed_between(self, residual: Array) -> Array | None:
+        """What a state misses between its unknowns, by the residual; None where that is no more than at these."""
+        return None
+
     def profile_changes(self, z: Array, steps: Array) -> Array:
         """The same of several states (states, size) in a step each."""
         return np.array([self.profile_change(*one) for one in zip(z, steps, strict=True)])
@@ -442,14 +446,15 @@ class OrbitProblem(Problem):
         factors = self.model.output_scale
         return None if factors is None or len(set(factors)) == 1 else self._spread(np.array(factors))
 
+    @property
+    def measures(self) -> tuple[Array | float, ...]:
+        """Factors of state values with which errors are relative to the largest of these: 1, and the output scale."""
+        return (1.0,) if self.output_scale is None else (1.0, np.abs(self.output_scale))
+
     def profile_changes(self, z: Array, steps: Array) -> Array:
-        """Largest changes of state values relative to the largest state value, also in the output scale."""
-        moves, states, scale = np.abs(steps[:, : self.states]), np.abs(z[:, : self.states]), self.output_scale
-        change = moves.max(axis=1) / states.max(axis=1)
-        if scale is not None:
-            scale = np.abs(scale)
-            change = np.maximum(change, (scale * moves).max(axis=1) / (scale * states).max(axis=1))
-        return np.asarray(change)
+        """Largest changes of state values relative to the largest state value, by each of the measures."""
+        moves, states = np.abs(steps[:, : self.states]), np.abs(z[:, : self.states])
+        return np.asarray(np.max([(m * moves).max(axis=1) / (m * states).max(axis=1) for m in self.measures], axis=0))
 
     def frequency(self, z: Array) -> float:
         return float(z[self.Omega_index])

@@ -29,7 +29,7 @@ SENSITIVITY_DIGITS = 8  # Newton's steps then err by 1e-6 of themselves, and cos
 MAX_STEPS = 5_000  # in one segment: ten times what steep orbits need with 14 digits
 DIGITS_RANGE = (3, 15)  # of CVODES' local tolerance
 QUARTER_SEGMENTS = 4  # of a quarter of the period: with two the metric of a walk sees too little of steep orbits
-PATH_TOLERANCE = 3e-14  # of the paths between the segments' ends, which are off by two or three times as much
+PATH_TOLERANCE = 3e-14  # of the paths between the segments' ends
 KEPT_PATHS = 4  # orbits whose paths are kept
 # Error of CVODES' steps by rounding, relative to the largest state: measured with 14 and 15 digits.
 CVODES_ROUNDING = 1e-13
@@ -131,6 +131,15 @@ class ShootingProblem(FirstOrderProblem):
 
     def resolution_in_words(self) -> str:
         return f"{self.segments} segments, a local tolerance of 1e-{self.resolution}"
+
+    def missed_between(self, residual: Array) -> Array:
+        return residual[: self.states - self.model.full_size]  # of each path at its end, to the start of the next
+
+    def profile_change(self, z: Array, step: Array, between: Array | None = None) -> float:
+        """Of the starts of segments, and with what paths miss of their ends as well."""
+        steps = np.array([step] if between is None else [step, step])
+        steps[1:, self.model.full_size : self.states] -= 0.0 if between is None else between
+        return float(np.max(self.profile_changes(np.array([z] * len(steps)), steps)))
 
     def rounding(self, z: Array) -> float:
         return CVODES_ROUNDING * float(np.max(np.abs(z[: self.states])))

@@ -92,8 +92,7 @@ def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> lis
             continue
         theta = 0.5 * np.pi * np.arange(problem.segments + 1) / problem.segments
         positions = correction.z[: problem.states].reshape(problem.segments + 1, -1)[:, : model.size]
-        size = np.abs(correction.z[: problem.states]).max()
-        profile = np.abs(positions - exact.problem.sample(exact.z, theta)).max() / size
+        profile = np.abs(positions - exact.problem.sample(exact.z, theta)).max() / np.abs(positions).max()
         Omega = abs(correction.z[problem.Omega_index] - orbit.Omega) / orbit.Omega
         found.append((levels.refined(problem, correction.z)[0].relative(orbit.Omega), max(profile, Omega)))
     return found
@@ -124,6 +123,26 @@ def test_the_estimated_error_covers_the_true_one(chain: Chain, mode: int, S: flo
     assert found
     for estimated, true in found:
         assert true <= estimated <= most * true
+
+
+def test_paths_between_ends_of_segments_are_off_by_rounding_alone() -> None:
+    """q'' = -(100 + p) q from exact ends of segments: interpolants of full steps are off by 1e-13."""
+    q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
+    model = OdeModel("fast", q, -(100 + p) * q, p, 2, v, reversal=(1, -1), half_period=(-1, -1), normalisation=q - 1)
+    problem, theta = ShootingProblem(model, 14, QUARTER), np.linspace(0.0, 0.5 * np.pi, 97)
+    found = problem.sample(problem.pack(np.ones(1), 10.0, 0.0), theta)[:, 0]
+    np.testing.assert_allclose(found, np.cos(theta), rtol=0, atol=5e-15)
+
+
+def test_errors_of_positions_are_relative_to_positions_and_paths_count_to_their_ends() -> None:
+    q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
+    model = OdeModel("fast", q, -(100 + p) * q, p, 2, v, reversal=(1, -1), half_period=(-1, -1), normalisation=q - 1)
+    problem = ShootingProblem(model, 14, QUARTER, 2)
+    z, step, between = problem.pack(np.ones(1), 10.0, 0.0), np.zeros(problem.size), np.zeros(4)
+    step[2:4] = 1e-9, 2e-9
+    assert problem.profile_change(z, step) == pytest.approx(1e-9, rel=1e-12)  # velocities are up to 10
+    between[0] = -2e-9
+    assert problem.profile_change(z, step, between) == pytest.approx(3e-9, rel=1e-12)
 
 
 # Failures -------------------------------------------------------------------------------------------------------------
