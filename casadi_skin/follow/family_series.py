@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family import LARGEST_FAMILY_SIZE
-from casadi_skin.model.arguments import number, short_repr, whole
+from casadi_skin.model.arguments import number, short_repr, whole, with_error
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.polynomial import NotPolynomialError
 from casadi_skin.model.result import Result, in_turn
@@ -72,8 +72,16 @@ class FamilySeries(Result):
     radius_error: float
 
     def __repr__(self) -> str:
-        words = f"order {self.order} in {self.variable}, radius {self.radius:.6g} +- {self.radius_error:.1e} in S"
+        words = f"order {self.order} in {self.variable}, radius in S {self.radius_in_words}"
         return f"<FamilySeries: mode {self.mode}, {words}>"
+
+    @property
+    def radius_in_words(self) -> str:
+        """The radius with its error, or why there is none."""
+        if np.isfinite(self.radius):
+            return with_error(self.radius, self.radius_error)
+        few = f"of order {FEWEST_ORDERS} and more" if self.order < FEWEST_ORDERS else "of two coefficients that show"
+        return f"unknown: it is estimated {few}" if np.isnan(self.radius) else "infinite"
 
     @property
     def order(self) -> int:

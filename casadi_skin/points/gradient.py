@@ -26,7 +26,7 @@ from casadi_skin.model.arguments import accepted_names, short_repr, state_by_nam
 from casadi_skin.model.expressions import real_array
 from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.edges import edge_problem, parameters_of
-from casadi_skin.points.targets import Flow, Slopes, Target, target_of, unknown
+from casadi_skin.points.targets import AtStart, Flow, Slopes, Target, target_of, unknown
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.zero.adjoint import Equations, derivatives
 from casadi_skin.zero.kinds import BRANCH_POINT, EDGE, FOLD, HETEROCLINIC, HOMOCLINIC, HOPF
@@ -45,6 +45,10 @@ NEGATIVE_VARIANCE = 1e-12  # of correlations: eigenvalues that are negative by r
 # Beside an edge at which another branch crosses, of S: weights of the places, of orders four and two.
 CROSSING_SIDES = -1e-3, -5e-4, 5e-4, 1e-3
 CROSSING_WEIGHTS = np.array([[-1.0, 4.0, 4.0, -1.0], [0.0, 3.0, 3.0, 0.0]]) / 6.0
+
+
+class NoGradientError(ValueError):
+    """Points of this kind have no derivatives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +172,7 @@ def _located(point: SpecialPoint) -> tuple[Located | None, float]:
         space = replace(solution.space, parameter=amplitude, to=2.0 * point.parameters[name])
     elif space.connects == FAMILY or space.kind or not point.has_curve:
         accepted = "a fold, Hopf point, branch point, doubling or torus of a branch in a parameter, an edge of a tongue"
-        raise ValueError(f"gradient: given a {kind}; accepted: {accepted}")
+        raise NoGradientError(f"gradient: given a {kind}; accepted: {accepted}")
     if solution.is_equilibrium:
         near = 1j * point.frequency if kind == HOPF else None
         return locate_rest(space, kind, solution.point.z, near), space.course.extent
@@ -316,6 +320,8 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
     value = target(*at)[0]
     if not np.isfinite(value):
         raise ValueError(f"quantity: given {words}, which is {value:g} there; accepted: one that is finite")
+    if isinstance(target, AtStart):
+        target.check_smooth(*at, solution.error)
     if words == "energy" and not np.isclose(value, family.energy, rtol=1e-6):
         raise ValueError("quantity: given energy in a gauge, which parameters change; accepted: that of a model")
     found = _with_errors(target, at, _finer(space, problem, point.z), names, errors)

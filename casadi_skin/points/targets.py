@@ -24,11 +24,14 @@ from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.expressions import Expression
 from casadi_skin.zero.adjoint import Equations
 from casadi_skin.zero.linearised import Linearised, bordered, null_vectors
-from casadi_skin.zero.problem import Array
+from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.rest import AlgebraicProblem
 from casadi_skin.zero.stated_problem import PERIOD
 
 MULTIPLIER_STEPS = 3  # of a multiplier's corrections, quadratic each
+KINK_PROBES, KINK_RTOL = 3, 1e-6  # ways across a solution on which slopes are compared; a jump, of the largest slope
+KINK_ROUNDING, SMALLEST_REACH = 256.0 * EPSILON, 1e-300  # of the sides, relative to a number, and beside a 0
+LARGEST_KINK_REACH = 1e-8  # however large the error of the solution is
 EXTREMUM_PLACES = 24  # places an interval in which extremes are looked for
 Slopes = tuple[float, Array, Array]  # a value, its derivatives by the unknowns and by the parameters
 Target = Callable[[Any, Array], Slopes]
@@ -124,15 +127,43 @@ class AtStart:
         value = function(*symbols)
         return ca.Function("slopes", symbols, [value, *(ca.densify(ca.gradient(value, s)) for s in symbols[1:])])
 
+    def check_smooth(self, problem: Any, z: Array, error: float) -> None:
+        """Raises ValueError where the slopes jump at the solution: they differ on two sides, however near these are.
+
+        The sides are within the relative `error` of the solution.
+        """
+        x, p, sizes = self._place(problem, z)
+        place, sizes = np.append(x, p), np.clip(error, KINK_ROUNDING, LARGEST_KINK_REACH) * sizes
+        reaches = np.append(sizes, KINK_ROUNDING * np.abs(p)) + SMALLEST_REACH
+        for way in np.random.default_rng(0).uniform(-1.0, 1.0, (KINK_PROBES, place.size)) * reaches:
+            there = (place - way, place + way, place - 0.125 * way, place + 0.125 * way)
+            far, other_far, near, other_near = (self._numbers(*np.split(at, [x.size]))[1:] for at in there)
+            jump, least = np.abs(near - other_near), KINK_RTOL * np.max(np.abs(near), initial=0.0)
+            if not np.all(np.isfinite(jump)) or np.any((jump > least) & (jump > 0.5 * np.abs(far - other_far))):
+                raise ValueError("quantity: given one with a kink at the solution; accepted: one with derivatives")
+
+    def _numbers(self, x: Array, p: Array) -> Array:
+        """The value, and its derivatives by states and parameters."""
+        return np.concatenate([np.array(part).ravel() for part in self._slopes(0.0, x, p)])
+
+    def _place(self, problem: Any, z: Array) -> tuple[Array, Array, Array]:
+        """State, parameters, and sizes of the components of the state."""
+        x, sizes = np.zeros((2, self._slopes.size1_in(1)))  # a model of second order rests with its velocities zero
+        if isinstance(problem, AlgebraicProblem):
+            x[: problem.states], sizes[: problem.states] = problem.state(z), problem.scale
+        else:
+            columns = z[: problem.states].reshape(problem.columns, -1)[:, : x.size]
+            x[: columns.shape[1]], sizes[: columns.shape[1]] = columns[0], np.max(np.abs(columns), axis=0)
+        names = Equations.of(problem).names
+        return x, problem.parameters(z)[[names.index(name) for name in self.space.model.parameter_names]], sizes
+
     def __call__(self, problem: Any, z: Array) -> Slopes:
         equations, rest = Equations.of(problem), isinstance(problem, AlgebraicProblem)
         order = [equations.names.index(name) for name in self.space.model.parameter_names]
         count = problem.states if rest else problem.formulation.states
-        x, moves = problem.state(z) if rest else z[:count], equations.moves()
-        whole = np.zeros(self._slopes.size1_in(1))  # a model of second order rests with its velocities zero
-        whole[:count] = x[: whole.size]
-        found = self._slopes(0.0, whole, problem.parameters(z)[order])
-        value, by_x, by_p = (np.array(part).ravel() for part in found)
+        x, p, _ = self._place(problem, z)
+        value, by_x, by_p = np.split(self._numbers(x, p), [1, 1 + x.size])
+        moves = equations.moves()
         by_z, by_c = by_p @ moves[order], np.zeros(len(equations.names))
         by_z[:count] += by_x[:count] * (problem.scale if rest else 1.0)
         by_c[order] = np.where(moves[order].any(axis=1), 0.0, by_p)

@@ -101,7 +101,7 @@ def _(result: TransientGrowth) -> words.Shown:
 def _(result: FamilySeries) -> words.Shown:
     rows = [(f"order {k}", with_error(float(v), float(result.Omega_error[k]))) for k, v in enumerate(result.Omega[:4])]
     rows += [("digits", f"{result.digits[-1]:.1f} of order {result.order}")]
-    rows += [("radius in S", with_error(result.radius, result.radius_error))]
+    rows += [("radius in S", result.radius_in_words)]
 
     title, meaning = f"Omega of mode {result.mode} in powers of {result.variable}", "power series of a family"
     return words.Shown(title, rows, lambda axes: draw_series(axes, result), meaning, lambda: series_columns(result))

@@ -14,6 +14,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.family_series import FamilySeries
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.points.edges import EdgeCurve
+from casadi_skin.points.gradient import NoGradientError
 from casadi_skin.results.dataset import Dataset, Variable, versions, write_csv, write_netcdf
 from casadi_skin.results.quantities import Cell, unique_names
 from casadi_skin.search.cosine_orbit import CosineOrbit
@@ -245,16 +246,19 @@ def gradient_rows(
 ) -> Iterator[dict[str, Cell]]:
     """Rows of gradient.csv: derivatives of the values of changes of stability of a family, and of special points.
 
-    Kinds without derivatives are left out; `failures` gets the reasons of points that are not found again.
+    Kinds without derivatives are left out; `failures` gets the reasons of others that have none.
     """
     edges = range(len(branch.changes)) if changes and branch.space.is_family else ()
+    if edges and branch.localised_diagram is not None:
+        failures.append(f"gradient: {len(edges)} changes of localised multipliers, which have no derivatives")
+        edges = ()
     for place in (*edges, *(branch.special_points if special else ())):
         try:
             point = branch.edge(place) if isinstance(place, int) else place
             found = point.gradient()
-        except ValueError:
+        except NoGradientError:
             continue
-        except ArithmeticError as error:
+        except (ValueError, ArithmeticError) as error:
             failures.append(f"gradient: {error}")
             continue
         for parameter, slope in found.items():

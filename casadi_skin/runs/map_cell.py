@@ -13,10 +13,10 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,6 +27,8 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.result import TURN
+from casadi_skin.points.edges import parameters_of
+from casadi_skin.points.gradient import Gradient, NoGradientError
 from casadi_skin.results.quantities import (
     FAMILY_ERRORS,
     FAMILY_PROOFS,
@@ -91,6 +93,7 @@ class Result(msgspec.Struct, frozen=True):
 
 # Quantities of cells, and their names before a cell is computed -------------------------------------------------------
 
+DERIVATIVE = "_by_"  # in names of derivatives of located values
 OF_ALL = ("points", "end", "end_reason")
 STABILITY = ("first_instability", "first_instability_error", "first_tongue", "unresolved", "changes")
 LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch
@@ -121,10 +124,8 @@ def known_names(request: Request) -> tuple[str, ...]:
 
 def _moves(located: Iterable[str], request: Request) -> list[str]:
     """Names of derivatives of located values and their errors, where the scene asks for them."""
-    asked_for = request.scene.with_gradient
-    return [
-        f"{name}_by_{p}{end}" for name in located for p in request.parameters for end in ("", "_error") if asked_for
-    ]
+    parts = product(located, request.parameters, ("", "_error")) if request.scene.with_gradient else ()
+    return [f"{name}{DERIVATIVE}{parameter}{end}" for name, parameter, end in parts]
 
 
 def check_quantities(request: Request, grid: Grid) -> None:
@@ -145,7 +146,7 @@ def asked(scene: Scene, grid: Grid) -> Scene:
     if scene.family is None or scene.continuation is not None or table is None or table.quantities is None:
         return scene
     wanted = (*table.quantities, *((table.watch or WATCHED) if grid.refined else ()))
-    names, moves = {FAMILY_SUFFIX.sub("", n).split("_by_")[0] for n in wanted}, any("_by_" in n for n in wanted)
+    names, moves = {FAMILY_SUFFIX.sub("", n).split(DERIVATIVE)[0] for n in wanted}, any(DERIVATIVE in n for n in wanted)
     stability, accuracy = scene.stability, scene.accuracy
     if stability is not None and not (table.boundary or names & {*STABILITY, *OF_ALL}):
         stability = put(stability, events=False) if moves or names & {q.name for q in FAMILY_STABILITY} else None
@@ -166,13 +167,14 @@ def rows_of(
     several = sum(branch.space.is_family for branch in branches) > 1
     for S in amplitudes or (None,):
         values, faults = dict[str, Value](), [fault]
+        failed = faults if gradient else None
         for number, branch in enumerate(branches):
             suffix = f"_j{mode_of(branch)}" if several else f"_{number + 1}" if number else ""
             solution, reason = _solution(branch, S)
             faults.append(reason)
             if solution is not None:
                 values |= _kept(_of_solution(branch, solution), meanings, suffix)
-            values |= _kept(_of_branch(branch, growth, gradient), meanings, suffix)
+            values |= _kept(_of_branch(branch, growth, failed), meanings, suffix)
         yield Row(values, "; ".join(filter(None, faults)), *_start(branches))
 
 
@@ -196,9 +198,11 @@ def _solution(branch: Branch, S: float | None) -> tuple[Solution | None, str]:
         return branch.solutions[-1], "" if branch.complete else branch.reason
     found = next((o for o in branch.orbits if S in (o.exact.get("S"), o.S) and o.point.requested), None)
     if found is None:
-        with suppress(ValueError, ArithmeticError):
+        try:
             return branch.at(S=S), ""
-    return found, "" if found is not None else branch.reason
+        except (ValueError, ArithmeticError) as error:
+            return None, f"S = {S:g}: {error}" if branch.complete else branch.reason
+    return found, ""
 
 
 def _of_solution(branch: Branch, solution: Solution) -> Named:
@@ -207,31 +211,37 @@ def _of_solution(branch: Branch, solution: Solution) -> Named:
     return ((q.name, row[q.name], q.meaning) for q in quantities if row[q.name] != "")
 
 
-def _of_branch(branch: Branch, growth: float, gradient: bool) -> Named:
-    """Special points of a branch, and how it ended."""
+def _of_branch(branch: Branch, growth: float, failed: list[str] | None) -> Named:
+    """Special points of a branch, and how it ended; with derivatives where there is a list for why some have failed."""
     if len(branch) > 1:
-        yield from _instabilities(branch, growth, gradient)
-        yield from _special(branch, gradient)
+        yield from _instabilities(branch, growth, failed)
+        yield from _special(branch, failed)
         yield "points", len(branch), "points of the branch"
     if branch.threshold is not None:
         yield "threshold", branch.threshold, "S at which the end breather of the infinite chain is born"
-        if gradient:
-            yield from _derivatives("threshold", branch.space.coordinates.chain.threshold_gradient)
+        if failed is not None:
+            chain = branch.space.coordinates.chain
+            yield from _derivatives("threshold", chain.threshold_gradient, chain.parameters, failed)
     end = "stopped" if branch.stopped else "missed" if branch.end is None else branch.end.name.lower()
     yield "end", end, "why the branch ended, in a word"
     yield "end_reason", branch.reason, "why the branch ended"
 
 
-def _derivatives(name: str, gradient: Callable[[], Any]) -> Named:
-    """Derivatives of a located value by all parameters; none of a kind that has none."""
-    with suppress(ValueError, ArithmeticError):
-        found = gradient()
-        for parameter, slope in found.items():
-            yield f"{name}_by_{parameter}", slope, f"derivative of {name} by {parameter}"
-            yield f"{name}_by_{parameter}_error", found.errors[parameter], ERROR_MEANING
+def _derivatives(name: str, gradient: Callable[[], Gradient], parameters: Iterable[str], failed: list[str]) -> Named:
+    """Derivatives of a located value by all parameters, NaN where they fail; none of a kind that has none."""
+    try:
+        slopes, errors = (found := gradient()).slopes, found.errors
+    except NoGradientError:
+        return
+    except (ValueError, ArithmeticError) as error:
+        failed.append(f"derivatives of {name}: {error}")
+        slopes = errors = dict.fromkeys(parameters, math.nan)
+    for parameter, slope in slopes.items():
+        yield f"{name}{DERIVATIVE}{parameter}", slope, f"derivative of {name} by {parameter}"
+        yield f"{name}{DERIVATIVE}{parameter}_error", errors[parameter], ERROR_MEANING
 
 
-def _instabilities(branch: Branch, growth: float, gradient: bool) -> Named:
+def _instabilities(branch: Branch, growth: float, failed: list[str] | None) -> Named:
     """The first instability, of a family with the tongue or the localised multiplier, and the count of changes."""
     diagram, S, error, tongue = branch.diagram_of_changes, math.nan, math.nan, ""
     if diagram is not None and branch.stability_diagram is None:
@@ -241,8 +251,9 @@ def _instabilities(branch: Branch, growth: float, gradient: bool) -> Named:
         if (first := diagram.first_instability(growth)) is not None:
             modes = "" if first.modes is None else f", modes {first.modes[0]} + {first.modes[1]}, order {first.order}"
             S, error, tongue = first.start.S, first.start.S_error, first.kind + modes
-            if gradient and S in (places := [each.value for each in branch.changes]):
-                yield from _derivatives("first_instability", lambda: branch.edge(places.index(S)).gradient())
+            if failed is not None and S in (places := [each.value for each in branch.changes]):
+                of_edge: Any = lambda: branch.edge(places.index(S)).gradient()  # noqa: E731
+                yield from _derivatives("first_instability", of_edge, parameters_of(branch.space), failed)
     elif branch.with_events and not branch.space.stability_included:
         if (change := next((c for c in branch.located if not c.stable_after), None)) is not None:
             S, error = change.value, change.error
@@ -267,7 +278,7 @@ def _special_names(kind: str) -> tuple[str, str, str]:
     return f"{name}_count", f"first_{name}", f"first_{name}_error"
 
 
-def _special(branch: Branch, gradient: bool) -> Named:
+def _special(branch: Branch, failed: list[str] | None) -> Named:
     """The first special point of each kind, and how many there are."""
     if branch.space.is_family:
         return
@@ -279,8 +290,9 @@ def _special(branch: Branch, gradient: bool) -> Named:
         yield count, len(mine), f"special points of the kind {kind} on the branch"
         yield first, mine[0].parameters[parameter], f"{parameter} at the first {kind} of the branch"
         yield error, mine[0].error, ERROR_MEANING
-        if gradient:
-            yield from _derivatives(first, mine[0].gradient)
+        if failed is not None:
+            others = [other for other in branch.space.model.parameter_names if other != parameter]
+            yield from _derivatives(first, mine[0].gradient, others, failed)
 
 
 def _start(branches: Iterable[Branch]) -> tuple[tuple[float, ...], float]:

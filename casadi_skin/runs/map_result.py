@@ -43,7 +43,17 @@ from casadi_skin.results.quantities import Cell
 from casadi_skin.results.store import Journal, mapped, record_at, scan
 from casadi_skin.results.words import Columns, Shown, listed, show
 from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
-from casadi_skin.runs.map_cell import FAMILY_SUFFIX, FAULTS, OUTSIDE_FAULTS, TEXTS, WATCHED, Result, Row, Value
+from casadi_skin.runs.map_cell import (
+    DERIVATIVE,
+    FAMILY_SUFFIX,
+    FAULTS,
+    OUTSIDE_FAULTS,
+    TEXTS,
+    WATCHED,
+    Result,
+    Row,
+    Value,
+)
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Labels, Task, needed
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -365,12 +375,14 @@ class Map(WithVerbs):
     @property
     def names(self) -> list[str]:
         """Names of the quantities, in the order in which cells have them."""
+        asked = (name for name in self.meanings if DERIVATIVE in name) if self._wanted is None else self._wanted
+        absent = {*asked} - {*self._first, *self._axes, STARTED_FROM}  # of which no cell has a number
         known = [n for n in self._first if n != REASON and (self._wanted is None or n in self._wanted)]
-        return sorted(known, key=lambda name: (name == STARTED_FROM, self._first[name]))
+        return [*sorted(known, key=lambda name: (name == STARTED_FROM, self._first[name])), *sorted(absent)]
 
     def is_text(self, name: str) -> bool:
         """Whether a quantity, or the reasons why cells failed, are texts."""
-        return name == REASON or self._kinds[name] is str
+        return name == REASON or self._kinds.get(name) is str or FAMILY_SUFFIX.sub("", name) in TEXTS
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Values of a quantity by name, shape as the axes: NaN or an empty text where there is none.
@@ -391,7 +403,7 @@ class Map(WithVerbs):
         """Values of a quantity at cells as a table has them: nothing for NaN, a whole number where all of them are."""
         if self.is_text(name):
             return iter(self.values(name).ravel()[cells])
-        values = self.columns[name]
+        values = self.values(name).ravel()
         known = values[np.isfinite(values)]
         whole = bool(np.all(known == np.round(known)) and np.all(np.abs(known) < LARGEST_WHOLE_NUMBER))
         found = (float(values[cell]) for cell in cells)
@@ -529,9 +541,9 @@ class Map(WithVerbs):
         known, names = self.states != UNKNOWN, list[str]()
         for name in self.names:
             if not (self.is_text(name) or name.endswith("_error") or name in NOT_DRAWN):
-                values = self.columns[name][known]
+                values = self.values(name).ravel()[known]
                 finite = values[np.isfinite(values)]
-                if finite.size < values.size or float(np.ptp(finite)) > 0.0:
+                if 0 < finite.size < values.size or (finite.size and float(np.ptp(finite)) > 0.0):
                     names.append(name)
         return names
 

@@ -18,6 +18,7 @@ from small_models import fput
 from casadi_skin import Chain, OdeModel, follow_family
 from casadi_skin.follow.family_series import FamilySeries, nearest_singularity
 from casadi_skin.lattice.closed_forms import duffing_displacement
+from casadi_skin.model.arguments import with_error
 from casadi_skin.zero.amplitude_series import SmallDivisorError
 from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
 
@@ -303,6 +304,17 @@ def test_a_narrow_resonance_ends_the_convergence() -> None:
 def test_a_linear_family_converges_everywhere() -> None:
     found = series_of(oscillator(-4 * x, half_period=(-1, -1)), 1, 12)
     assert (found.Omega[0], found.radius, bool(found.frequency_error(100.0) < 1e-14)) == (2.0, np.inf, True)
+    assert repr(found).endswith("radius in S infinite>")
+
+
+def test_a_radius_that_is_not_estimated_is_said_to_be_unknown() -> None:
+    few, more = (series_of(Chain(1, -1.0, 0.0, 1.0), 1, order) for order in (5, 6))
+    assert np.isnan(few.radius)
+    assert np.isfinite(more.radius)
+    for words in (repr(few), str(few)):
+        assert "unknown: it is estimated of order 6 and more" in words
+        assert "nan" not in words
+    assert f"radius in S {with_error(more.radius, more.radius_error)}" in repr(more)
 
 
 # The radius of convergence --------------------------------------------------------------------------------------------

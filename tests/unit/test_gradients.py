@@ -22,6 +22,7 @@ from casadi_skin import (
     Lattice,
     OdeModel,
     Site,
+    SpecialPoint,
     find_equilibrium,
     find_orbit,
     follow_family,
@@ -529,6 +530,58 @@ def test_maps_have_the_derivatives_of_what_is_located(tmp_path: Path) -> None:
     scene.write_text(model + walk, encoding="utf-8")
     found = run_map(scene, tmp_path / "cubic", quiet=True)
     assert found["first_fold_by_a"] == pytest.approx(-np.sqrt(found.axes["a"] / 3.0), abs=1e-10)
+
+
+FAILING = """
+from casadi_skin import SpecialPoint
+from casadi_skin.points.gradient import gradient
+
+def failing(point):
+    if point.parameters["a"] > 1.4:
+        raise ArithmeticError("its equations are singular")
+    return gradient(point)
+
+SpecialPoint.gradient = failing
+"""
+
+
+def test_derivatives_that_fail_are_columns_of_no_numbers_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SpecialPoint, "gradient", SpecialPoint.gradient)  # as before after the file is read here, too
+    (tmp_path / "cubic.py").write_text(MODEL + FAILING, encoding="utf-8")  # in the workers, which read it
+    model = '[model]\nfile = "cubic.py"\nname = "cubic"\n[equilibrium]\nstart = { x = -2.0 }\n'
+    way, scene = '[continuation]\nparameter = "p"\nto = -3.0\ngradient = true\n', tmp_path / "scene.toml"
+    scene.write_text(model + way + "[map]\na = [1.2, 1.5]\n", encoding="utf-8")
+    found = run_map(scene, tmp_path / "both", quiet=True)
+    assert np.isnan(found["first_fold_by_a"]).tolist() == [False, True]
+    assert found.failures() == [("a = 1.5", "derivatives of first_fold: its equations are singular")]
+    asked = '[map]\na = [1.5]\nquantities = ["first_fold_by_a", "first_fold_by_a_error", "first_hopf", "first_fold"]\n'
+    scene.write_text(model + way + asked, encoding="utf-8")
+    found = run_map(scene, tmp_path / "one", quiet=True)
+    assert found.names == ["first_fold", "first_fold_by_a", "first_fold_by_a_error", "first_hopf"]
+    assert np.isnan([found[name][0] for name in found.names[1:]]).all()
+    (row,) = read_rows(tmp_path / "one" / "map.csv")
+    assert row["first_fold_by_a"] == row["first_hopf"] == ""
+    assert row["status"] == "ended early"
+    scene.write_text(model + way + "[map]\na = [1.5]\n", encoding="utf-8")
+    assert np.isnan(run_map(scene, tmp_path / "every", quiet=True)["first_fold_by_a"]).all()
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])
+def test_a_quantity_at_its_kink_has_no_derivatives(unit: float) -> None:
+    """a x = p at p = 0 and 0.3 units; a function whose derivative is continuous there has one."""
+    x, p, a = symbols("x p a")
+    model = OdeModel("line", x, p - a * x, ca.vertcat(p, a), nominal=(0.0, 1.0))
+    rest, moved = (find_equilibrium(model, [0.1 * unit], parameters={"p": value * unit}) for value in (0.0, 0.3))
+    kinks = [ca.fabs(x), ca.fmax(x, 0), ca.if_else(x > 0, x, 2 * x), ca.sqrt(x**2), ca.fabs(x - p), ca.fabs(a - 1)]
+    at = [*((rest, kink) for kink in kinks), (moved, ca.fabs(x - 0.3 * unit)), (moved, ca.fmin(x, 0.3 * unit))]
+    for solution, kink in at:
+        with pytest.raises(ValueError, match=r"^quantity: given one with a kink at the solution; accepted: one with"):
+            solution.gradient(kink)
+    smooth = {x * ca.fabs(x): 0.0, x**2: 0.0, ca.fabs(x - unit): -1.0, ca.tanh(99 * x / unit): 99 / unit}
+    for quantity, slope in smooth.items():
+        assert rest.gradient(quantity)["p"] == pytest.approx(slope, rel=1e-12)
 
 
 # Quantities of solutions ----------------------------------------------------------------------------------------------
