@@ -1,7 +1,7 @@
 """One running instance of an FMU for Model Exchange: the C interfaces of FMI 2.0 and 3.0 behind one set of names.
 
 fmpy has loaded and typed the binary's functions, and raises its `FMICallException`, with the status, where one fails.
-Numbers at several points are those of one call of the kernel in native/fmus.c, or of fmpy's functions row by row.
+Numbers at several points are those of one call of the kernel in native/fmus.c, or of fmpy's functions point by point.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ COMPONENT_FUNCTIONS = (  # the first ones in the order of native/fmus.c
     "GetEventIndicators", "Reset",
 )  # fmt: skip
 COMPONENT, GROUP = "iiiiiiiii", "iia"
-POINTS = "aaa" + 3 * GROUP + "aa" + "iaa" + "a"
+POINTS = "aaa" + 3 * GROUP + "iaa" + "iaa" + "a"
+MOST_POINTS, MOST_NUMBERS = 256, 1 << 20  # of one call, whose numbers stay in the memory of points
 Places = NDArray[np.int64]
 NONE = Group.of(())
 _Doubles = ctypes.POINTER(ctypes.c_double)
@@ -141,7 +142,7 @@ class Component:
     # Values -----------------------------------------------------------------------------------------------------------
 
     def compute(self, at: Points, first: int, last: int) -> None:
-        """The results of rows `first` to before `last`; raises fmpy's error at row `at.failed[0]`."""
+        """The numbers of points `first` to before `last`; raises fmpy's error at point `at.failed[0]`."""
         if not kernels():
             self._computed_by_fmpy(at, first, last)
         elif kernels()["fmu_at"](self._compiled, at.compiled, first, last):
@@ -150,19 +151,19 @@ class Component:
 
     def _computed_by_fmpy(self, at: Points, first: int, last: int) -> None:
         for row in range(first, last):
-            at.failed[0], place, result = row, 0 if at.seeded else row, at.result[row]
-            if row == first or not at.seeded:
-                self._fmi["SetTime"](at.t[place])
-                self._fmi["SetContinuousStates"](_pointer(at.x[place]), self._n)
-                self._give(at.moved, at.inputs[place])
+            at.failed[0] = row
+            self._fmi["SetTime"](at.t[row])
+            self._fmi["SetContinuousStates"](_pointer(at.x[row]), self._n)
+            self._give(at.moved, at.inputs[row])
             if at.wanted is None:
-                self._fmi["GetDerivatives"](_pointer(result), self._n)
-            elif at.seeded:
-                counted = (*self._counted(at.seeds[row]), *self._counted(result))
-                self._fmi["GetDirectionalDerivative"](*at.wanted.named, *at.known.named, *counted)
+                self._fmi["GetDerivatives"](_pointer(at.result), self._n)
+            elif not len(at.seeds):
+                self._fmi["Get"](*at.wanted.named, *self._counted(at.result))
             else:
-                self._fmi["Get"](*at.wanted.named, *self._counted(result))
-        at.numbers[:] = at.result.ravel()[at.pick]
+                for seed, result in zip(at.seeds, at.result, strict=True):
+                    counted = (*self._counted(seed), *self._counted(result))
+                    self._fmi["GetDirectionalDerivative"](*at.wanted.named, *at.known.named, *counted)
+            at.numbers[row] = at.result.ravel()[at.pick]
 
     def states(self) -> Array:
         """The state that it has."""
@@ -191,32 +192,33 @@ class Component:
 
 
 class Points:
-    """Rows of doubles that a binary shares: times, states and inputs `moved` of points, and the `result` at each.
+    """Doubles that a binary shares: times, states and inputs `moved` of several points, and `numbers` of each.
 
-    Results are values of the variables `wanted`, or the derivatives of the states where that is None; with `seeds`,
-    numbers for each entry of the variables `known`, derivatives along each seed at one point. Of one point, with
-    parameters and inputs `p`, `given` are its bytes, and `parts` those of numbers at places in its results.
+    These are parts of the values of the variables `wanted`, or of the derivatives of the states where that is None, or,
+    along `seeds`, numbers for each entry of the variables `known`, of derivatives along each. Of the first point,
+    with parameters and inputs `p`, `given` are its bytes, and `parts` those of its numbers.
     """
 
     def __init__(
-        self, sizes: tuple[int, int, int], moved: Group, wanted: Group | None, known: Group, seeds: Array | None,
+        self, sizes: tuple[int, int], moved: Group, wanted: Group | None, known: Group, seeds: Array | None,
         parts: Sequence[Places],
     ) -> None:  # fmt: skip
-        rows, states, parameters = sizes
-        self.wanted, self.known, self.moved, self.seeded = wanted, known, moved, seeds is not None
-        self.keys: tuple[bytes, list[bytes]] | None = None  # of the parameters of the rows
-        self.places = slice(None) if wanted is None else wanted.places
-        self.t, self.x, self.p = np.zeros(rows), np.zeros((rows, states)), np.zeros((rows, parameters))
-        self.inputs, self.seeds = np.tile(moved.starts, (rows, 1)), np.zeros((0, 0)) if seeds is None else seeds
-        self.result = np.zeros((len(self.seeds) or rows, states if wanted is None else wanted.starts.size))
+        states, parameters = sizes
+        self.wanted, self.known, self.moved = wanted, known, moved
         self.pick = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
-        self.numbers, self.failed = np.zeros(self.pick.size), np.zeros(3, dtype=np.int64)
-        self.given = [array.ravel().view(np.uint8).data for array in (self.t, self.x, self.p)]
-        ends = itertools.accumulate([0, *(places.size for places in parts)])
-        self.parts = [self.numbers[i:j].view(np.uint8).data for i, j in itertools.pairwise(ends)]
+        rows = self.rows = max(1, min(MOST_POINTS, MOST_NUMBERS // (states + parameters + self.pick.size)))
+        self.t, self.x, self.p = np.zeros(rows), np.zeros((rows, states)), np.zeros((rows, parameters))
+        self.inputs = np.tile(moved.starts, (rows, 1))
+        self.seeds = np.zeros((0, known.starts.size)) if seeds is None else seeds
+        self.result = np.zeros((len(self.seeds) or 1, states if wanted is None else wanted.starts.size))
+        self.numbers, self.failed = np.zeros((rows, self.pick.size)), np.zeros(3, dtype=np.int64)
+        self.given = [array.view(np.uint8).data for array in (self.t[:1], self.x[0], self.p[0])]
+        self.ends = list(itertools.accumulate(places.size for places in parts))
+        self.parts = [part.view(np.uint8).data for part in np.split(self.numbers[0], self.ends[:-1])]
         groups = [(g.references.size, g.starts.size, g.references) for g in (moved, wanted or NONE, known)]
-        results = self.result, self.pick.size, self.pick, self.numbers, self.failed
-        self.compiled = Structure(POINTS, self.t, self.x, self.inputs, *itertools.chain(*groups), seeds, *results)
+        along = len(self.seeds), self.seeds, self.result
+        data = *itertools.chain(*groups), *along, self.pick.size, self.pick, self.numbers, self.failed
+        self.compiled = Structure(POINTS, self.t, self.x, self.inputs, *data)
 
 
 def _pointer(numbers: Array) -> Any:

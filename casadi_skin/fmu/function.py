@@ -6,7 +6,8 @@ Derivatives of the FMU are compared with differences along random directions bef
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from casadi_skin.fmu.description import Array, Element, Group, Pattern
-from casadi_skin.fmu.fmu_component import Points
+from casadi_skin.fmu.fmu_component import MOST_NUMBERS, Points
 from casadi_skin.fmu.instance import Bytes, FmuInstance
 
 Indices = NDArray[np.int64]
-Point = tuple[float, Array, Array]
+Place = tuple[Array, Array, Array]  # t, x, p, one place a row
 
 # With steps h, 2h, 4h extrapolated: the error h^4 that the estimate sees and round-off eps/h are in balance there.
 DIFFERENCE_STEP = float(np.finfo(float).eps ** 0.2)
@@ -67,9 +68,9 @@ class Columns:
         return self.group[self.columns]
 
     def dense(self, nonzeros: Array) -> Array:
-        """The matrix with these entries."""
-        matrix = np.zeros(self.pattern.shape)
-        matrix[self.rows, self.columns] = nonzeros
+        """The matrices with these entries, one a row."""
+        matrix = np.zeros((len(nonzeros), *self.pattern.shape))
+        matrix[:, self.rows, self.columns] = nonzeros
         return matrix
 
 
@@ -84,31 +85,37 @@ class Differences:
     largest_error: float = 0.0
 
     def moved(self, at: Array, scale: Array, columns: Columns) -> tuple[Array, Array]:
-        """Where a function is evaluated, one row a point; and the step of each component, which changes by `scale`."""
+        """Where a function is evaluated, (places, groups, 6, components), for derivatives at places, one a row.
+
+        And the steps of the components, which change by `scale`.
+        """
         # Steps are powers of 2 times the same number for all of a group, so that quotients are exact.
         steps = np.exp2(np.round(np.log2(DIFFERENCE_STEP * np.maximum(np.abs(at), scale))))
-        along = columns.seeds * steps
-        return (at + STEP_FACTORS[:, None] * along[:, None, :]).reshape(-1, at.size), steps
+        along = STEP_FACTORS[:, None] * (columns.seeds * steps[:, None])[:, :, None]
+        return at[:, None, None] + along, steps
 
     def quotients(self, values: Array, steps: Array, columns: Columns, sizes: Array, across: Array) -> Array:
-        """Non-zeros by columns from the values there; `sizes` are those of the values, `across` those of components."""
-        sums = EXTRAPOLATION_WEIGHTS @ values.reshape(len(columns.seeds), STEP_FACTORS.size, -1)
-        both = sums[columns.owners, :, columns.rows] / steps[columns.columns, None]
-        units = across[columns.columns] / sizes[columns.rows]
-        largest, error = np.max(np.abs(both) * units[:, None], axis=0, initial=0.0).tolist()
+        """Non-zeros by columns, a row a place, from the values, (places, groups, 6, any).
+
+        `sizes` are those of the values, `across` those of components.
+        """
+        sums = np.moveaxis(EXTRAPOLATION_WEIGHTS @ values, 2, 0)
+        both = sums[:, :, columns.owners, columns.rows] / steps[:, columns.columns]
+        scaled = np.abs(both) * (across[columns.columns] / sizes[columns.rows])
+        largest, error = np.max(scaled, axis=2, initial=0.0)
         # Of derivatives that vanish at a place the error is that of rounded values, relative to these.
-        largest = max(largest, float(np.max(np.abs(values) / sizes, initial=0.0)))
-        if 0.0 < largest < np.inf:
-            self.largest_error = max(self.largest_error, error / largest)
-        return np.asarray(both[:, 0])
+        largest = np.maximum(largest, np.max(np.abs(values) / sizes, axis=(1, 2, 3), initial=0.0))
+        known = (largest > 0.0) & (largest < np.inf)
+        self.largest_error = max(self.largest_error, float(np.max(error[known] / largest[known], initial=0.0)))
+        return np.asarray(both[0])
 
 
 @dataclass(eq=False)
 class Derivatives:
     """Values of some of an FMU's numbers, `unknowns` (its derivatives where that is None), and their Jacobians.
 
-    `by_states` and `by_parameters` name how Jacobians are computed: "directional" or "differences". `difference` holds
-    the error estimate of the latter.
+    All are taken at places t, x, p, one a row, and have a row for each. `by_states` and `by_parameters` name how
+    Jacobians are computed: "directional" or "differences". `difference` holds the error estimate of the latter.
     """
 
     instance: FmuInstance
@@ -125,14 +132,14 @@ class Derivatives:
         self._outputs = None if self.unknowns is None else np.array([element.size for element in self.unknowns])
         self._given_scale = np.where(self.instance.start_given != 0.0, np.abs(self.instance.start_given), 1.0)
         self._declared = variables.declared(elements)
-        self._wanted = None if self.unknowns is None else Group.of(elements)
+        self.points = self.instance.points(None if self.unknowns is None else Group.of(elements))
         self._rates = Group.of(elements)
         self._everything = Columns.of(np.ones((self.size, len(given)), dtype=bool))
         self._along_time = Columns.of(np.ones((self.size, 1), dtype=bool))
         self._seeds: dict[tuple[Columns, bool], Points] = {}
-        self._shifted: tuple[bytes | None, Array, Array] = (None, np.empty(0), np.empty(0))
-        self._by_states, self.by_states = self._chosen()
-        self.by_parameters = self._chosen_for_parameters() if given else "directional"
+        trials = self._trials()
+        self._by_states, self.by_states = self._chosen(trials)
+        self.by_parameters = self._chosen_for_parameters(trials) if given else "directional"
 
     @property
     def sizes(self) -> Array:
@@ -144,120 +151,120 @@ class Derivatives:
         """Which entries of the Jacobian by the states may be non-zero."""
         return self._by_states.pattern
 
-    def _at(self, t: Sequence[float], x: Array, p: Array) -> Array:
-        """The numbers at several times and states, or at one state, with the same parameters."""
-        return self.instance.at(self._wanted, t, x, np.repeat(p[None], len(t), axis=0))
+    @property
+    def most_places(self) -> int:
+        """How many of them are moved together for differences."""
+        largest = max(len(self._by_states.seeds), len(self.instance.given)) * max(self.scale.size, self.size)
+        return max(1, MOST_NUMBERS // (STEP_FACTORS.size * largest))
 
-    def states_jacobian(self, t: float, x: Array, p: Array) -> Array:
+    def values(self, t: Array, x: Array, p: Array) -> Array:
+        """The numbers, for places in arrays of any shape that go together."""
+        shape = np.broadcast_shapes(t.shape, x.shape[:-1], p.shape[:-1])
+        count = math.prod(shape)
+        rows = (np.broadcast_to(a, (*shape, a.shape[-1])).reshape(count, a.shape[-1]) for a in (x, p))
+        return self.instance.numbers(self.points, np.broadcast_to(t, shape).ravel(), *rows).reshape(*shape, self.size)
+
+    def states_jacobian(self, t: Array, x: Array, p: Array) -> Array:
         """Non-zeros by columns of d value/d x."""
         return self._states_jacobian(self.by_states, self._by_states, t, x, p)
 
-    def parameters_jacobian(self, t: float, x: Array, p: Array) -> Array:
+    def parameters_jacobian(self, t: Array, x: Array, p: Array) -> Array:
         """Entries by columns of d value/d p."""
         return self._parameters_jacobian(self.by_parameters, t, x, p)
 
-    def time_derivative(self, t: float, x: Array, p: Array) -> Array:
+    def time_derivative(self, t: Array, x: Array, p: Array) -> Array:
         """d value/d t by differences."""
-        times, steps = self.difference.moved(np.array([t]), np.ones(1), self._along_time)
-        values = self._at(times[:, 0].tolist(), x[None], p)
+        times, steps = self.difference.moved(t[:, None], np.ones(1), self._along_time)
+        values = self.values(times[..., 0], x[:, None, None], p[:, None, None])
         return self.difference.quotients(values, steps, self._along_time, self.sizes, np.ones(1))
 
-    def _states_jacobian(self, how: str, columns: Columns, t: float, x: Array, p: Array) -> Array:
-        if how == "differences":
-            points, steps = self.difference.moved(x, self.scale, columns)
-            values, self._seen = self._at((t,) * len(points), points, p), np.maximum(self._seen, np.abs(x))
-            return self.difference.quotients(values, steps, columns, self.sizes, self._seen)
-        return self._directional(columns, False, t, x, p)[0]
+    def _states_jacobian(self, how: str, columns: Columns, t: Array, x: Array, p: Array) -> Array:
+        if how == "directional":
+            return self.instance.numbers(self._along_columns(columns, False), t, x, p)
+        points, steps = self.difference.moved(x, self.scale, columns)
+        values = self.values(t[:, None, None], points, p[:, None, None])
+        self._seen = np.maximum(self._seen, np.max(np.abs(x), axis=0, initial=0.0))
+        return self.difference.quotients(values, steps, columns, self.sizes, self._seen)
 
-    def _parameters_jacobian(self, how: str, t: float, x: Array, p: Array) -> Array:
-        if how == "differences":
-            key = p.tobytes()
-            if self._shifted[0] != key:  # the same at all nodes
-                self._shifted = key, *self.difference.moved(p, self._given_scale, self._everything)
-            _, points, steps = self._shifted
-            values = self.instance.at(self._wanted, (t,) * len(points), x[None], points)
-            return self.difference.quotients(values, steps, self._everything, self.sizes, self._given_scale)
-        return self._directional(self._by_states, True, t, x, p)[1]
-
-    def _directional(self, columns: Columns, by_given: bool, t: float, x: Array, p: Array) -> list[Array]:
-        """Non-zeros by columns of d value/d x, and entries of d value/d p where they are wanted too."""
-        at = self._along_columns(columns, by_given)
-        found = [bytearray(part.nbytes) for part in at.parts]
-        self.instance.answer(at, [bytearray(np.array(given).tobytes()) for given in (t, x, p)], found)
-        return [np.frombuffer(part) for part in found]
+    def _parameters_jacobian(self, how: str, t: Array, x: Array, p: Array) -> Array:
+        if how == "directional":
+            along = self._along_columns(self._by_states, True)
+            return self.instance.numbers(along, t, x, p)[:, along.ends[0] :]
+        points, steps = self.difference.moved(p, self._given_scale, self._everything)
+        values = self.values(t, x, np.moveaxis(points, 0, 2))  # all places with the same shifted parameters together
+        return self.difference.quotients(
+            np.moveaxis(values, 2, 0), steps, self._everything, self.sizes, self._given_scale
+        )
 
     def _along_columns(self, columns: Columns, by_given: bool) -> Points:
-        """A point for the FMU's derivatives along these columns, and along parameters and inputs, in one call."""
+        """Points for the FMU's derivatives along these columns, and along parameters and inputs where wanted."""
         if (columns, by_given) not in self._seeds:
             given, states = self.instance.given if by_given else (), self.instance.variables.states
             groups, places, row = len(columns.seeds), self._rates.places, self._rates.starts.size
             by_states = places[columns.rows] + row * columns.owners
             by_parameters = (places + row * np.arange(groups, groups + len(given))[:, None]).ravel()
             seeds, known = block_diag(columns.seeds, np.eye(len(given))), Group.of((*states, *given))
-            found = self.instance.points(1, self._rates, known, seeds, (by_states, by_parameters)[: 1 + by_given])
+            found = self.instance.points(self._rates, known, seeds, (by_states, by_parameters)[: 1 + by_given])
             self._seeds[columns, by_given] = found
         return self._seeds[columns, by_given]
 
-    def at_once(self, of_jacobian: bool) -> Points | None:
-        """A point for the numbers, or for those of their Jacobians that are the FMU's own; None where none is."""
-        if not of_jacobian:
-            places = np.arange(self.size) if self._wanted is None else self._wanted.places
-            return self.instance.points(1, self._wanted, parts=(places,))
+    def at_once(self, by_given: bool) -> Points | None:
+        """Points for those of the Jacobians that are the FMU's own; None where none is."""
         if self.by_states == "differences":
             return None
-        return self._along_columns(self._by_states, self.by_parameters == "directional" and bool(self.instance.given))
+        by_given = by_given and self.by_parameters == "directional" and bool(self.instance.given)
+        return self._along_columns(self._by_states, by_given)
 
     # Checks -----------------------------------------------------------------------------------------------------------
 
-    def _trials(self) -> Iterator[Point]:
-        """Points where the FMU's derivatives are compared: beside its start, where it can be evaluated."""
-        generator, start = np.random.default_rng(0), self.instance.start
-        p = self.instance.start_given
-        for size in (TRIAL_DISTANCE, TRIAL_DISTANCE, 0.0):
-            x = start + size * self.scale * generator.uniform(0.5, 1.0, start.size)
-            if np.all(np.isfinite(self._at((0.0,), x[None], p))):
-                yield 0.0, x, p
+    def _trials(self) -> Place:
+        """Places where the FMU's derivatives are compared: beside its start, where it can be evaluated."""
+        start, distances = self.instance.start, np.array([TRIAL_DISTANCE, TRIAL_DISTANCE, 0.0])[:, None]
+        x = start + distances * self.scale * np.random.default_rng(0).uniform(0.5, 1.0, (3, start.size))
+        t, p = np.zeros(3), np.tile(self.instance.start_given, (3, 1))
+        known = np.all(np.isfinite(self.values(t, x, p)), axis=1)
+        return t[known], x[known], p[known]
 
-    def _chosen(self) -> tuple[Columns, str]:
+    def _chosen(self, trials: Place) -> tuple[Columns, str]:
         directions = np.random.default_rng(1).uniform(0.5, 1.0, (TRIED_DIRECTIONS, self.scale.size)) * self.scale
-        trials = [(at, self._along(at, directions)) for at in self._trials()]
+        known = self._along(trials, directions)
         for how in ("directional", "differences") if self.offered else ("differences",):
             for pattern in (self._declared, np.ones_like(self._declared)):
                 columns = Columns.of(pattern)
-                found = [
-                    (columns.dense(self._states_jacobian(how, columns, *at)) @ directions.T, known)
-                    for at, known in trials
-                ]
-                if all(_agree(given, known, self.sizes[:, None]) for given, known in found):
+                given = columns.dense(self._states_jacobian(how, columns, *trials)) @ directions.T
+                if _agree(given, known, self.sizes[:, None]):
                     self.difference.largest_error = 0.0
                     return columns, how
         return columns, "differences"  # all entries
 
-    def _along(self, at: Point, directions: Array) -> Array:
-        """Derivatives along directions by differences, one column each: an entry left out anywhere shows in its row."""
+    def _along(self, at: Place, directions: Array) -> Array:
+        """Derivatives along directions by differences, (places, any, directions): an entry left out shows."""
         (t, x, p), differences = at, Differences()
-        distances, steps = differences.moved(np.zeros(1), np.ones(1), self._along_time)
-        found = (self._at((t,) * len(distances), x + distances * d, p) for d in directions)
-        units = self.sizes, np.ones(1)
-        return np.array([differences.quotients(values, steps, self._along_time, *units) for values in found]).T
+        distances, steps = differences.moved(np.zeros((1, 1)), np.ones(1), self._along_time)
+        moved = x[:, None, None] + distances[0, 0] * directions[:, None]
+        values = self.values(t[:, None, None], moved, p[:, None, None])
+        found = (
+            differences.quotients(values[:, [k]], steps, self._along_time, self.sizes, np.ones(1))
+            for k in range(len(directions))
+        )
+        return np.stack(list(found), axis=2)
 
-    def _chosen_for_parameters(self) -> str:
+    def _chosen_for_parameters(self, trials: Place) -> str:
         if not (self.by_states == "directional" and all(element.tunable for element in self.instance.given)):
             return "differences"
-        for at in self._trials():
-            known = self._parameters_jacobian("differences", *at)
-            sizes = self.sizes[self._everything.rows] / self._given_scale[self._everything.columns]
-            if not _agree(self._parameters_jacobian("directional", *at), known, sizes):
-                return "differences"
+        known = self._parameters_jacobian("differences", *trials)
+        sizes = self.sizes[self._everything.rows] / self._given_scale[self._everything.columns]
+        if not _agree(self._parameters_jacobian("directional", *trials), known, sizes):
+            return "differences"
         self.difference.largest_error = 0.0
         return "directional"
 
 
 def _agree(given: Array, known: Array, sizes: Array) -> bool:
-    """Whether derivatives agree, in sizes of each."""
-    return bool(
-        np.all(np.abs(given - known) / sizes <= DERIVATIVE_AGREEMENT * np.max(np.abs(known) / sizes, initial=0))
-    )
+    """Whether derivatives agree at all places, in sizes of each."""
+    across = tuple(range(1, known.ndim))
+    largest = np.max(np.abs(known) / sizes, axis=across, initial=0.0, keepdims=True)
+    return bool(np.all(np.abs(given - known) / sizes <= DERIVATIVE_AGREEMENT * largest))
 
 
 # An FMU's right-hand side or outputs as a function of CasADi with its Jacobian ----------------------------------------
@@ -272,21 +279,20 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
         sizes = (1, len(derivatives.instance.variables.states), len(derivatives.instance.given))
         self._zeros = [np.zeros(size) for size in sizes]
         self._given = [dense(size, 1) for size in (*sizes, *([rows] if of_jacobian else []))]
-        self._jacobian: Any = None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
-        self._results: tuple[ca.Sparsity, ...]
-        values: tuple[Callable[[float, Array, Array], Array], ...] = ()
+        self.jacobian_function: Any = (
+            None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
+        )
+        self._results: tuple[ca.Sparsity, ...] = (dense(rows, 1),)
+        self._values: tuple[Callable[[Array, Array, Array], Array], ...] = (derivatives.values,)
+        # Points for results from number `first` on, by whether those by parameters are among them.
+        self._at_once: list[Points | None]
+        self._first, self._at_once = 0, [derivatives.points for _ in range(2)]
         if of_jacobian:
             by_time = dense(rows, 1) if forced else ca.Sparsity(rows, 1)
             by_states = ca.sparsify(ca.DM(derivatives.pattern.astype(float))).sparsity()
             self._results = by_time, by_states, dense(rows, sizes[2])
-            values = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
-        else:
-            self._results = (dense(rows, 1),)
-        self._one = derivatives.at_once(of_jacobian)
-        first, count = int(of_jacobian), 0 if self._one is None else len(self._one.parts)
-        self._own = slice(first, first + count)  # results of the one call
-        others = [k for k in range(len(values)) if not first <= k < first + count and self._results[k].nnz()]
-        self._left = [(k, values[k]) for k in others]
+            self._values = derivatives.time_derivative, derivatives.states_jacobian, derivatives.parameters_jacobian
+            self._first, self._at_once = 1, [derivatives.at_once(by_given) for by_given in (False, True)]
         # Second derivatives are differences: only iterations use them, as the Newton matrix of CVODES' sensitivities.
         self.construct(name, {"enable_fd": of_jacobian})
 
@@ -306,24 +312,45 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
         return True
 
     def eval_buffer(self, arguments: Sequence[Bytes], results: Sequence[Bytes]) -> int:
-        if self._one is not None:
-            self.derivatives.instance.answer(self._one, arguments, results[self._own])
-        if self._left:
-            t, x, p = (np.frombuffer(a) if a else zeros for a, zeros in zip(arguments, self._zeros, strict=False))
-            for k, value in self._left:
-                result = results[k]
-                if result:
-                    np.frombuffer(result)[:] = value(float(t[0]), x, p)
+        points, first = self._at_once[bool(results[-1])], self._first
+        last = first if points is None else first + len(points.parts)
+        if points is not None:
+            self.derivatives.instance.answer(points, arguments, results[first:last])
+        for k in (*range(first), *range(last, len(results))):
+            if result := results[k]:
+                given = zip(arguments, self._zeros, strict=False)
+                t, x, p = (np.frombuffer(a) if a else zeros for a, zeros in given)
+                np.frombuffer(result)[:] = self._values[k](t, x[None], p[None])[0]
         return 0
 
+    def at_places(self, given: Sequence[Array], wanted: Sequence[bool]) -> list[Array]:
+        """The non-zeros of the results at places, one a row; zeros where they are not wanted."""
+        found, most = (
+            [np.zeros((len(given[0]), result.nnz())) for result in self._results],
+            self.derivatives.most_places,
+        )
+        for first in range(0, len(given[0]), most):
+            rows = slice(first, first + most)
+            t, x, p = (array[rows] for array in given[:3])
+            for k, values in self._wanted(t[:, 0], x, p, wanted).items():
+                found[k][rows] = values
+        return found
+
+    def _wanted(self, t: Array, x: Array, p: Array, wanted: Sequence[bool]) -> dict[int, Array]:
+        points, first, found = self._at_once[wanted[-1]], self._first, dict[int, Array]()
+        if points is not None and any(wanted[first : first + len(points.parts)]):
+            numbers = self.derivatives.instance.numbers(points, t, x, p)
+            found = dict(enumerate(np.split(numbers, points.ends[:-1], axis=1), start=first))
+        return found | {k: self._values[k](t, x, p) for k, w in enumerate(wanted) if w and k not in found}
+
     def has_jacobian(self) -> bool:
-        return self._jacobian is not None
+        return self.jacobian_function is not None
 
     def has_jac_sparsity(self, oind: int, iind: int) -> bool:
-        return self._jacobian is not None
+        return self.jacobian_function is not None
 
     def get_jac_sparsity(self, oind: int, iind: int, symmetric: bool) -> ca.Sparsity:
-        return self._jacobian.sparsity_out(iind)
+        return self.jacobian_function.sparsity_out(iind)
 
     def get_jacobian(self, name: str, inames: list[str], onames: list[str], options: dict[str, Any]) -> ca.Function:
-        return self._jacobian
+        return self.jacobian_function

@@ -58,8 +58,7 @@ class FmuInstance:
         self._components: dict[bytes, Component] = {}  # by their parameters
         self._finalizer = weakref.finalize(self, _close, self._components, unpacked.remove)
         self._inputs = Group.of(self.given[k] for k in self._moved)
-        self._points: dict[tuple[Group | None, int], Points] = {}
-        self._place = self.points(1, None)  # where event indicators are asked for
+        self._place = self.points(None, parts=())  # where event indicators are asked for
         self.start_given = np.array([element.start for element in self.given])
         component = self._instantiated()
         held = self.start_given[self._held]
@@ -76,36 +75,39 @@ class FmuInstance:
 
     # Values -----------------------------------------------------------------------------------------------------------
 
-    def at(self, wanted: Group | None, t: Sequence[float], x: Array, p: Array) -> Array:
-        """x', or values of variables, at several points; NaN where the FMU cannot compute them.
-
-        There is a row for each point in `p`, and in `x` too unless it is the same for all.
-        """
-        with self._lock:
-            key = wanted, len(p)
-            points = self._points.get(key) or self._points.setdefault(key, self.points(len(p), wanted))
-            points.t[:], points.x[:], points.p[:] = t, x, p
-            self._compute(points)
-            return np.array(points.result[:, points.places])
-
     def points(
-        self, rows: int, wanted: Group | None, known: Group = NONE, seeds: Array | None = None,
-        parts: Sequence[Places] = (),
+        self, wanted: Group | None, known: Group = NONE, seeds: Array | None = None,
+        parts: Sequence[Places] | None = None,
     ) -> Points:  # fmt: skip
         """Points for numbers of `wanted`, or their directional derivatives along the rows of `seeds`.
 
         A seed has a number for each entry of the knowns' variables: all are given in each call, most with seed 0, as
         some FMUs go on with seeds of the call before.
         """
-        sizes = rows, len(self.variables.states), len(self.given)
-        return Points(sizes, self._inputs, wanted, known, None if seeds is None else known.spread(seeds), parts)
+        states = len(self.variables.states)
+        if parts is None:
+            parts = (np.arange(states) if wanted is None else wanted.places,)
+        along = None if seeds is None else known.spread(seeds)
+        return Points((states, len(self.given)), self._inputs, wanted, known, along, parts)
+
+    def numbers(self, at: Points, t: Array, x: Array, p: Array) -> Array:
+        """Those of any number of points, one a row of all of these; NaN where the FMU cannot compute them."""
+        found = np.empty((len(t), at.pick.size))
+        with self._lock:
+            for first in range(0, len(t), at.rows):
+                part = slice(first, first + at.rows)
+                rows = len(t[part])
+                at.t[:rows], at.x[:rows], at.p[:rows] = t[part], x[part], p[part]
+                self._compute(at, rows)
+                found[part] = at.numbers[:rows]
+        return found
 
     def answer(self, at: Points, given: Sequence[Bytes], results: Sequence[Bytes]) -> None:
         """Parts of the numbers at one point from views of its time, state and parameters; NaN where one is not had."""
         with self._lock:
             for own, view in zip(at.given, given, strict=False):
                 own[:] = view or bytes(own.nbytes)
-            self._compute(at)
+            self._compute(at, 1)
             for part, result in zip(at.parts, results, strict=True):
                 if result:
                     result[:] = part
@@ -116,13 +118,13 @@ class FmuInstance:
         with self._lock:
             for place in zip(t, x, p, strict=True):
                 at.t[:], at.x[:], at.p[:] = place
-                self._compute(at)
+                self._compute(at, 1)
                 if words := self._crossed(at):
                     return words
         return ""
 
     def _crossed(self, at: Points) -> str:
-        component = self._components.get(self._keys(at)[0])
+        component = self._components.get(at.p[0, self._held].tobytes())
         try:
             changed = None if component is None else component.crossed()
         except self._failure as error:
@@ -131,33 +133,33 @@ class FmuInstance:
             return ""
         return f"event indicator {self.variables.indicators[changed]} changes its sign at t = {at.t[0]:.6g}"
 
-    def _compute(self, points: Points) -> None:
-        """Results of all rows: those of the same parameters in one call."""
-        p = points.p
+    def _compute(self, at: Points, rows: int) -> None:
+        """The numbers of the first points: those of the same parameters in one call."""
+        p = at.p[:rows]
         if self._moved.size:
-            points.inputs[:, self._inputs.places] = p[:, self._moved]
-        row, rows, keys = 0, len(points.result), self._keys(points)
-        while row < rows:
-            last = rows if points.seeded else next((k for k in range(row, rows) if keys[k] != keys[row]), rows)
-            component = self._components.get(keys[row]) or self._at(keys[row], p[row])
-            if component is None:
-                points.result[row:last] = points.numbers[:] = np.nan
-            else:
-                try:
-                    component.compute(points, row, last)
-                except self._failure as error:
-                    first = int(points.failed[0])
-                    last = rows if points.seeded else first + 1
-                    points.result[first:last] = points.numbers[:] = np.nan
-                    self._failed(component, error)
-            row = last
+            at.inputs[:rows, self._inputs.places] = p[:, self._moved]
+        held = p[:, self._held]
+        changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1 if rows > 1 else np.zeros(0, dtype=int)
+        row = 0
+        for last in (*changes.tolist(), rows):
+            while row < last:
+                row = self._computed(at, row, last, held[row])
 
-    def _keys(self, points: Points) -> list[bytes]:
-        """A key of the parameters of each row; the same rows often come again."""
-        packed = points.p.tobytes()
-        if points.keys is None or points.keys[0] != packed:
-            points.keys = packed, [row.tobytes() for row in points.p[:, self._held]]
-        return points.keys[1]
+    def _computed(self, at: Points, row: int, last: int, held: Array) -> int:
+        """The point after the last that was computed, or that the FMU cannot compute."""
+        key = held.tobytes()
+        component = self._components.get(key) or self._at(key, held)
+        if component is None:
+            at.numbers[row:last] = np.nan
+            return last
+        try:
+            component.compute(at, row, last)
+        except self._failure as error:
+            failed = int(at.failed[0])
+            at.numbers[failed] = np.nan
+            self._failed(component, error)
+            return failed + 1
+        return last
 
     # Instances --------------------------------------------------------------------------------------------------------
 
@@ -166,7 +168,7 @@ class FmuInstance:
         sizes = len(self.variables.states), held, len(self.variables.indicators)
         return Component(self._unpacked, self.complaints, *sizes)
 
-    def _at(self, key: bytes, p: Array) -> Component | None:
+    def _at(self, key: bytes, held: Array) -> Component | None:
         """An instance that gets the parameters of this key; None where the FMU refuses them.
 
         Raises ValueError after `close`: what would be called is no longer there.
@@ -175,7 +177,7 @@ class FmuInstance:
             raise ValueError(f"{self.path}: closed; accepted: calls before that")
         component, fresh = self._spare()
         try:
-            (component.restart if fresh else component.change)(p[self._held])
+            (component.restart if fresh else component.change)(held)
         except self._failure as error:
             self._failed(component, error)
             return None

@@ -34,6 +34,7 @@ from casadi_skin.model.expressions import expression_of
 from casadi_skin.model.jumps import STATE, Jumps, Switch
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import in_turn
+from casadi_skin.native.programs import Program
 
 Signal: TypeAlias = float | Callable[[Any], Any]
 _COMPARED_TIMES = (0.0, 0.37, 1.9)  # where the equations must be the same unless the model is forced
@@ -53,6 +54,11 @@ class FmuModel(OdeModel):
     instance: FmuInstance
     functions: tuple[FmuFunction, ...] = field(repr=False)
     signals: ca.Function = field(repr=False)
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """Right-hand side and outputs with their Jacobians."""
+        return tuple(f for own in self.functions for f in (own, own.jacobian_function) if f is not None)
 
     @property
     def derivatives(self) -> str:
@@ -192,7 +198,7 @@ def _check_autonomous(instance: FmuInstance, inputs: list[float]) -> None:
     """Raises ValueError where the derivatives at the start change with time alone."""
     given = np.concatenate([instance.start_given[: instance.start_given.size - len(inputs)], inputs])
     rows = np.ones((len(_COMPARED_TIMES), 1))
-    values = instance.at(None, _COMPARED_TIMES, rows * instance.start, rows * given)
+    values = instance.numbers(instance.points(None), np.array(_COMPARED_TIMES), rows * instance.start, rows * given)
     if not np.array_equal(values, rows * values[0], equal_nan=True):
         raise ValueError(f"{instance.path}: the equations depend on time; accepted: with forcing_period=")
 

@@ -21,6 +21,7 @@ from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.pickled import reduced
 from casadi_skin.model.polynomial import NotPolynomialError, homogeneous_parts
 from casadi_skin.model.result import WithVerbs
+from casadi_skin.native.programs import Program
 
 EPSILON = sys.float_info.epsilon
 
@@ -99,6 +100,11 @@ class OdeModel(Equations, WithVerbs):
     def rounding(self) -> float:
         """Relative error of the right-hand side's values: that of doubles, unless a model declares a larger one."""
         return EPSILON
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """Functions in its equations that are no expressions, and take many places in one call."""
+        return ()
 
     @cached_property
     def jumps(self) -> Jumps:

@@ -1,5 +1,5 @@
-/* Numbers of an FMU at several points, or along several seeds at one, in one call: an instance of its binary goes to a
-   time, a state and inputs, and gives its derivatives, values of variables, or directional derivatives. */
+/* Numbers of an FMU at several points in one call: an instance of its binary goes to the time, the state and the inputs
+   of each, and gives its derivatives, values of variables, or directional derivatives along several seeds. */
 
 #include <stddef.h>
 
@@ -36,11 +36,12 @@ typedef struct {
 typedef struct {
     const double *t, *x, *inputs; /* (points), (points, states), (points, numbers of inputs) */
     group input, wanted, known;   /* derivatives are wanted where there is no `wanted` variable */
-    const double *seeds;          /* (seeds, numbers of knowns) at the first point; none where values are wanted */
-    double *result;               /* (points or seeds, numbers wanted) */
-    int64_t picked;               /* how many of these go to `numbers`, from the places `pick`, when all are there */
+    int64_t directions;
+    const double *seeds;          /* (directions, numbers of knowns); where there are none, values are wanted */
+    double *result;               /* of one point, (directions or 1, numbers wanted) */
+    int64_t picked;               /* how many of these go to `numbers`, from the places `pick` */
     const int64_t *pick;
-    double *numbers;
+    double *numbers;              /* (points, picked) */
     int64_t *failed;              /* the row where a call failed, which of `call` below, and its status */
 } points;
 
@@ -90,24 +91,25 @@ static int along(const component *of, const points *at, const double *seed, doub
                                                   (size_t)k.numbers, result, (size_t)u.numbers);
 }
 
-/* Rows from `first` to before `last`; 1 where the binary refuses one, and those before it are done. */
+/* Points from `first` to before `last`; 1 where the binary refuses one, and those before it are done. */
 KERNEL(fmu_at)(const component *of, const points *at, int64_t first, int64_t last)
 {
     const int64_t size = at->wanted.variables ? at->wanted.numbers : of->states;
     enum call call = SET_TIME;
     for (int64_t row = first; row < last; row++) {
-        int status = at->seeds && row > first ? 0 : place(of, at, at->seeds ? 0 : row, &call);
-        if (status <= WARNING)
-            status = at->seeds ? along(of, at, at->seeds + row * at->known.numbers, at->result + row * size, &call)
-                               : values(of, at, at->result + row * size, &call);
+        int status = place(of, at, row, &call);
+        for (int64_t s = 0; status <= WARNING && s < at->directions; s++)
+            status = along(of, at, at->seeds + s * at->known.numbers, at->result + s * size, &call);
+        if (status <= WARNING && !at->directions)
+            status = values(of, at, at->result, &call);
         if (status > WARNING) {
             at->failed[0] = row;
             at->failed[1] = call;
             at->failed[2] = status;
             return 1;
         }
+        for (int64_t k = 0; k < at->picked; k++)
+            at->numbers[row * at->picked + k] = at->result[at->pick[k]];
     }
-    for (int64_t k = 0; k < at->picked; k++)
-        at->numbers[k] = at->result[at->pick[k]];
     return 0;
 }

@@ -8,7 +8,7 @@ where, is worked out once, and serves all meshes and solutions of that number; l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
@@ -21,6 +21,7 @@ from casadi_skin.model.expressions import Expression
 from casadi_skin.native import Structure as Compiled
 from casadi_skin.native import kernels
 from casadi_skin.native.collocation import CHECKS, EQUATIONS
+from casadi_skin.native.programs import CallingBuffers, Calls, Program
 from casadi_skin.zero.butcher import CollocationTable
 from casadi_skin.zero.problem import Array, Buffers, Indices, Solve
 
@@ -47,6 +48,7 @@ class Formulation:
     conditions: Expression
     integrands: Expression
     constants: Expression
+    programs: Sequence[Program] = ()  # that expressions may call
 
     @cached_property
     def discretisations(self) -> dict[tuple[int, CollocationTable], Any]:
@@ -80,12 +82,24 @@ class Formulation:
         An SX function gives all at once. Of a program values have a function of their own: CasADi evaluates all of an
         MX function, also results that are not used.
         """
-        count, function = arguments[0].size2(), self.field_function
-        found = list(function.map(count)(*arguments))
-        if not function.is_a("SXFunction"):
-            values = ca.Function("values", self._arguments, [ca.densify(self.field)])
-            found[0] = values.map(count)(*arguments)
+        count = arguments[0].size2()
+        found = list(self.field_function.map(count)(*arguments))
+        if self.values_function is not self.field_function:
+            found[0] = self.values_function.map(count)(*arguments)
         return found
+
+    @cached_property
+    def values_function(self) -> ca.Function:
+        """Function (s, x, sigma, constants) -> F first: without derivatives where CasADi would evaluate them all."""
+        if self.field_function.is_a("SXFunction"):
+            return self.field_function
+        return ca.Function("values", self._arguments, [ca.densify(self.field)])
+
+    @cached_property
+    def calls(self) -> tuple[Calls | None, Calls | None]:
+        """Calls of programs in the field with its derivatives, and in its values alone."""
+        first, second = (Calls.of(function, self.programs) for function in (self.field_function, self.values_function))
+        return first, second
 
     @cached_property
     def integrand_function(self) -> ca.Function:
@@ -233,7 +247,11 @@ class Discretisation:
         self._m, self.table, self.formulation = int(formulation.scalars.numel()), table, formulation
         self._states = self._n * (intervals * self._R + 1)
         places = intervals * self._d + 1  # the stages, or the check points
-        self._field = Buffers(formulation.field_function, places)
+        with_derivatives, values = formulation.calls
+        self._field = _buffers(formulation.field_function, with_derivatives, places)
+        self._values = self._field
+        if formulation.values_function is not formulation.field_function:
+            self._values = _buffers(formulation.values_function, values, places)
         self._conditions = formulation.condition_buffers
         self._integrals = formulation.integrals
         self._integrands = Buffers(formulation.integrand_function, places) if self._integrals else None
@@ -390,10 +408,14 @@ class Discretisation:
 
     def along(self, *arguments: Array) -> tuple[Array, Array]:
         """Field and integrands at (s, x, scalars, constants), as many places as there are stages and one more."""
-        field = self._field(*arguments)[0].reshape(-1, self._n).copy()
+        field = self._values(*arguments)[0].reshape(-1, self._n).copy()
         if self._integrands is None:
             return field, np.zeros((len(field), 0))
         return field, self._integrands(*arguments)[0].reshape(-1, self._integrals).copy()
+
+
+def _buffers(function: ca.Function, calls: Calls | None, places: int) -> Buffers:
+    return Buffers(function, places) if calls is None else CallingBuffers(calls, places)
 
 
 def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, Array]:

@@ -36,6 +36,7 @@ from casadi_skin.model.conserved import (
 from casadi_skin.model.expressions import Expression, real_array
 from casadi_skin.model.jumps import Jumps
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native.programs import Program
 from casadi_skin.zero.family import Method
 from casadi_skin.zero.problem import EPSILON, Array
 from casadi_skin.zero.stated_problem import PERIOD, SMALLEST_COMPONENT_RATIO
@@ -245,6 +246,10 @@ class Extended(OdeModel):
     @property
     def rounding(self) -> float:
         return self.inner.rounding
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        return self.inner.programs
 
     @cached_property
     def jumps(self) -> Jumps:

@@ -248,7 +248,8 @@ class Statement(WithVerbs):
         field, border, integrands = everything.call([time, x, x, last, p], True, False)
         if self.integrals:
             integrands = product(integrands, t1 - t0)
-        return Formulation(s, x, (x, last), scalars, product(field, t1 - t0), border, integrands, constants)
+        equations = product(field, t1 - t0), border, integrands, constants
+        return Formulation(s, x, (x, last), scalars, *equations, model.programs)
 
     def parameters_at(self, scalars: Any, walking: str | None = None, end: float = 1.0) -> Any:
         """All parameters, in the model's order, from the scalars among the unknowns."""

@@ -232,7 +232,7 @@ def test_numbers_are_the_same_without_kernels(chain_fmu: Path) -> None:
             x = np.vstack([np.ones(8), np.full(8, np.inf), np.arange(8.0)])
             p = np.array([[1.0, 0.2, 1.0], [1.0, 0.2, 1.0], [0.5, 0.1, 1.0]])
             energy = model.function("energy", model.outputs["energy"])(0.0, x[0], p[0])
-            at = model.instance.at(None, (0.0, 1.0, 2.0), x, p)
+            at = model.instance.numbers(model.instance.points(None), np.arange(3.0), x, p)
             found.append([at, *map(np.array, (energy, *jacobians(model)(0.0, x[2], p[2])))])
             assert "failed with status 2 (discard)" in model.complaints[-1]
             assert np.isnan(at).any(axis=1).tolist() == [False, True, False]
