@@ -24,8 +24,6 @@ def load(name: str) -> ModuleType:
 def module_at(path: Path) -> ModuleType:
     """A file of Python as a module."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -19,7 +19,6 @@ from casadi_skin.runs.program import main
 def data_in(page: Path) -> dict[str, Any]:
     text = page.read_text(encoding="utf-8")
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)
-    assert found is not None
     return dict(json.loads(found[1]))
 
 

@@ -39,8 +39,6 @@ STEP = 1e-30  # of the complex-step derivative
 def cases() -> ModuleType:
     path = Path(__file__).parents[1] / "unit" / "boundary_cases.py"
     spec = importlib.util.spec_from_file_location("boundary_cases", path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules["boundary_cases"] = module
     spec.loader.exec_module(module)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 import pytest
 
 from casadi_skin import Chain, follow_family
-from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_changes import family_tongues
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
@@ -27,7 +26,6 @@ Record = Callable[[str, float, int], None]
 def changes(sites: int, g: float, mode: int) -> StabilityDiagram:
     """All of the family to S = 3 anew, and its changes."""
     branch = follow_family(Chain(sites, 1.0, 0.25, g), mode, 3.0, stability=False)
-    assert isinstance(branch.space, Family)
     diagram = family_tongues(branch.space, (branch.start, *(orbit.point for orbit in branch.orbits)))
     assert diagram.complete
     return diagram

@@ -146,7 +146,6 @@ def test_a_folder_goes_with_a_process_that_is_killed() -> None:
 @pytest.mark.parametrize(("first", "second"), [(False, False), (False, True), (True, False), (True, True)])
 def test_a_directory_is_kept_from_others(first: bool, second: bool, tmp_path: Path) -> None:
     holder = started("-c", f"OUT, SHARED = {str(tmp_path)!r}, {first}\n{USE}")
-    assert holder.stdout is not None
     assert holder.stdout.readline() == "has it\n"
     printed = program(USE, OUT=str(tmp_path), SHARED=second)
     assert printed == "has it\n" if first and second else f"process {holder.pid} on " in printed

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin import Branch, OdeModel, Orbit, find_equilibrium, find_orbit, simulate
+from casadi_skin import BoundaryValueProblem, Branch, OdeModel, Orbit, find_equilibrium, find_orbit, simulate
 
 
 def lattice(name: str, sites: int, bond: float, onsite: bool, gamma: float = 0.0) -> OdeModel:
@@ -65,6 +65,19 @@ def van_der_pol() -> OdeModel:
     """A self-excited oscillator."""
     x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
     return OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu, nominal=(1.0,))
+
+
+def oscillation(mu: float = 1.0, **options: Any) -> Orbit:
+    """The limit cycle of van der Pol from a circle."""
+    guess = lambda t: [2 * np.cos(t), -2 * np.sin(t)]  # noqa: E731
+    return find_orbit(van_der_pol(), guess, 6.6, parameters={"mu": mu}, **options)
+
+
+def bratu(lam: float, **options: Any) -> BoundaryValueProblem:
+    """u'' + lam exp(u) = 0 with u = 0 at both ends: two solutions up to a fold at lam = 3.513830719125162."""
+    u, v, p = (ca.SX.sym(name) for name in ("u", "v", "lam"))
+    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -p * ca.exp(u)), p)
+    return BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lam": lam}, **options)
 
 
 def limit_cycle() -> Orbit:

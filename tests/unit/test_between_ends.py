@@ -50,7 +50,6 @@ def test_a_step_between_ends_is_that_of_all_equations(followed: Any, transcripti
         assert step_on_finer(problem, finer, z, tangent, least) is None
     on_finer, ways = levels._on_finer(problem, z, tangent, None if along else Scalar.PARAMETER)
     step = at_parameter(finer, on_finer.z[0], on_finer.steps[0], None if ways is None else ways[0])
-    assert found is not None
     assert np.max(np.abs(step)) > 1e-9
     np.testing.assert_allclose(found, on_finer.z[0] - step, rtol=0, atol=1e-4 * np.max(np.abs(step)))
     assert found[-1] == on_finer.z[0][-1]

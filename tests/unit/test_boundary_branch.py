@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from small_models import van_der_pol
+from small_models import bratu, van_der_pol
 
 from casadi_skin import BoundaryValueProblem, Branch, Orbit, find_orbit
 from casadi_skin.follow.boundary_space import BoundarySpace
@@ -170,14 +170,11 @@ def test_a_branch_read_from_its_journal_goes_on_as_if_not_broken_off(kind: str, 
 @pytest.mark.slow
 def test_a_branch_whose_parameter_comes_to_a_limit_ends_with_it() -> None:
     """Bratu's larger solution grows without bound as p goes to 0: u = 2 log(cosh(theta / 4)) in the middle."""
-    u, v, p = (ca.SX.sym(name) for name in "uvp")
-    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -p * ca.exp(u)), p)
-    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"p": 1.0})
-    branch = problem.solve([0.0, 0.0]).follow("p", 4.0, back_to=0.0)
+    branch = bratu(1.0).solve([0.0, 0.0]).follow("lam", 4.0, back_to=0.0)
     assert branch.end is End.STILL
-    assert "p comes to 0 +- " in branch.reason
+    assert "lam comes to 0 +- " in branch.reason
     assert "more than" not in branch.reason
-    last = next(solution for solution in branch.solutions[::-1] if solution.parameters["p"] > 1e-11)
+    last = next(solution for solution in branch.solutions[::-1] if solution.parameters["lam"] > 1e-11)
     middle = float(np.ravel(last.evaluate(0.5))[0])
     theta = 4.0 * np.arccosh(np.exp(0.5 * middle))
-    assert theta**2 / (2.0 * np.cosh(theta / 4.0) ** 2) == pytest.approx(last.parameters["p"], rel=1e-4)
+    assert theta**2 / (2.0 * np.cosh(theta / 4.0) ** 2) == pytest.approx(last.parameters["lam"], rel=1e-4)

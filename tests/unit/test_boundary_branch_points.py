@@ -11,6 +11,7 @@ from equilibrium_models import symbols
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 from scipy.special import j0, y0
+from small_models import bratu
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel
 
@@ -21,9 +22,7 @@ def zero() -> Branch:
     u, v, p = symbols("u v p")
     model = OdeModel("bvp", ca.vertcat(u, v), ca.vertcat(v, -((p * np.pi) ** 2) * u + u**2), p)
     problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"p": 0.5})
-    branch = problem.solve([0.0, 0.0]).follow("p", 5.5)
-    assert isinstance(branch, Branch)
-    return branch
+    return problem.solve([0.0, 0.0]).follow("p", 5.5)
 
 
 def test_the_branch_points_of_auto_are_found_with_their_errors(zero: Branch) -> None:
@@ -56,10 +55,7 @@ def test_the_other_branch_solves_the_problem_by_another_method(zero: Branch, pla
 
 def test_no_branch_point_is_seen_where_there_is_a_fold_alone() -> None:
     """Bratu's problem: one fold at 3.513830719125."""
-    u, v, lam = symbols("u v lam")
-    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
-    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lam": 1.0})
-    branch = problem.solve([0.0, 0.0]).follow("lam", 4.0)
+    branch = bratu(1.0).solve([0.0, 0.0]).follow("lam", 4.0)
     assert [point.kind for point in branch.special_points] == ["fold"]
     assert branch.special_points[0].parameters["lam"] == pytest.approx(3.513830719125, abs=1e-11)
     assert not branch.complete  # it turns there

@@ -51,9 +51,7 @@ def folds() -> tuple[SpecialPoint, ...]:
 
 @pytest.fixture(scope="module")
 def curve(folds: tuple[SpecialPoint, ...]) -> Branch:
-    found = folds[0].curve("eps", 0.3)
-    assert isinstance(found, Branch)
-    return found
+    return folds[0].curve("eps", 0.3)
 
 
 def test_folds_of_a_slab_are_the_turns_of_its_time_map(folds: tuple[SpecialPoint, ...]) -> None:
@@ -136,9 +134,7 @@ def column() -> Branch:
     rhs = ca.vertcat(v, -lam * ca.sin(u) + q * u + r)
     model = OdeModel("column", ca.vertcat(u, v), rhs, ca.vertcat(lam, q, r))
     problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lam": 5.0, "q": 0.0, "r": 0.0})
-    branch = problem.solve([0.0, 0.0]).follow("lam", 45.0)
-    assert isinstance(branch, Branch)
-    return branch
+    return problem.solve([0.0, 0.0]).follow("lam", 45.0)
 
 
 def test_branch_points_of_a_column_are_located_and_followed(column: Branch) -> None:

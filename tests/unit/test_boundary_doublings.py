@@ -11,7 +11,7 @@ from critical_models import across_circle
 from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
 
-from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_orbit
+from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import BoundaryError
 from casadi_skin.follow.special_points import SpecialPoint
@@ -28,7 +28,6 @@ def first_point(turn: float, sign: float, even: float = 0.0) -> SpecialPoint:
     ends = [model.end(x) - sign * model.start(x), model.end(y) - sign * model.start(y)]
     problem = BoundaryValueProblem(model, ends, parameters={"a": -0.3, "k": 0.0, "q": 1.0, "b": even})
     (point,) = problem.solve([0.0, 0.0]).follow("a", 0.4, stability=True).special_points
-    assert isinstance(point, SpecialPoint)
     return point
 
 
@@ -103,7 +102,6 @@ def test_a_cycle_stated_with_its_free_period_doubles_as_an_orbit_does() -> None:
     assert mine.coefficient == pytest.approx(known_point.coefficient, rel=1e-6)
     assert mine.frequency == pytest.approx(known_point.frequency, rel=1e-9)
     doubled, known_doubled = (point.follow("c", 3.0, stability=True) for point in (mine, known_point))
-    assert isinstance(doubled, Branch)
     assert 2.0 * doubled["T"][-1] == pytest.approx(known_doubled.period[-1], rel=1e-10)
     np.testing.assert_allclose(
         doubled.solutions[-1].floquet().others, known_doubled.solutions[-1].floquet().others, rtol=0, atol=1e-7

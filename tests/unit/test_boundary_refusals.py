@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from small_models import bratu
 
 from casadi_skin import BoundaryValueProblem
 from casadi_skin.follow.space import BoundaryError
@@ -187,13 +188,10 @@ def test_what_nothing_fixes_is_named(changes: dict[str, Any], corrector: str, wo
 
 @pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
 def test_beyond_a_fold_the_variable_and_the_place_are_named(corrector: str) -> None:
-    lam = ca.SX.sym("lambda")
-    model = OdeModel("Bratu", ca.vertcat(U, V), ca.vertcat(V, -lam * ca.exp(U)), lam)
-    problem = BoundaryValueProblem(model, [model.start(U), model.end(U)], parameters={"lambda": 4.0})
-    message = failing(lambda: problem.solve([0.0, 0.0], corrector=corrector))
+    message = failing(lambda: bratu(4.0).solve([0.0, 0.0], corrector=corrector))
     assert message.startswith("Bratu: no solution near the guess: ")
     assert "at the equation of v at t = " in message
-    assert "with lambda = 4" in message
+    assert "with lam = 4" in message
 
 
 @pytest.mark.parametrize("corrector", ["ipopt", "newton"])

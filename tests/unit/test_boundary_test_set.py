@@ -15,8 +15,6 @@ SCRIPT = Path(__file__).parents[1] / "benchmarks" / "boundary_test_set.py"
 @pytest.fixture(scope="module")
 def benchmark_script() -> ModuleType:
     spec = importlib.util.spec_from_file_location("boundary_test_set", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules["boundary_test_set"] = module
     spec.loader.exec_module(module)

@@ -203,7 +203,6 @@ def test_an_interruption_of_processes_keeps_what_they_found(tmp_path: Path) -> N
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as p:
-        assert p.stdout is not None
         assert "done" in p.stdout.readline()
         assert "done" in p.stdout.readline()
         os.killpg(p.pid, signal.SIGINT)

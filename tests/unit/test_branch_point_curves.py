@@ -141,7 +141,6 @@ def test_branch_points_that_conditions_alone_decide_are_followed() -> None:
     for condition, known in ((cubic, {PITCHFORK: -1.0}), (square, {TRANSCRITICAL: 0.0})):
         problem = BoundaryValueProblem(model, [condition, Y - 1 - X**2], parameters={"p": -1.0})
         branch = problem.solve([0.0, 1.0]).follow("p", 1.0)
-        assert isinstance(branch, Branch)
         (point,) = branch.special_points
         assert abs(point.parameters["p"] - 0.25) <= 3.0 * point.error < 1e-12
         curve = point.curve("q", -2.0, max_step=1.0)

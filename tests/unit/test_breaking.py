@@ -33,7 +33,6 @@ def test_orbits_of_less_symmetry_leave_at_the_edges_of_a_real_tongue() -> None:
     family = follow_family(CHAIN, 1, 2.6, stability=True)
     points = family.special_points
     diagram = family.stability_diagram
-    assert diagram is not None
     edges = [edge for edge in (*diagram.changes, *diagram.further) if edge.kind == "real"]
     real = [edge for edge in edges if edge.mu == 0.0]  # at mu = -1 the energy has an extremum
     assert sorted(point.parameters["S"] for point in points) == pytest.approx(sorted(edge.S for edge in real))
@@ -44,7 +43,6 @@ def test_orbits_of_less_symmetry_leave_at_the_edges_of_a_real_tongue() -> None:
     for point in points:
         S = point.parameters["S"]
         branch = point.follow("S", 1.1 * S, stability=True, max_points=6)
-        assert isinstance(branch, Branch)
         assert branch.orbits[0].period == pytest.approx(family.at(S=S).period, rel=1e-8)
         last = branch.orbits[-1]
         y = last.evaluate(last.period * np.arange(16) / 16)[:, :3]
@@ -79,7 +77,6 @@ def test_a_family_that_crosses_one_of_a_third_of_its_period_has_one_branch_point
     (point,) = (p for p in family.special_points if p.kind == "branch point" and p.mu == -1.0 and not p.lost)
     S, orbit = point.parameters["S"], point.solution
     known = follow_family(chain, 5, 1.1, tolerance=1e-10)
-    assert isinstance(orbit, Orbit)
     other = known.at(S=S)
     assert abs(3.0 * orbit.Omega - other.Omega) <= 3.0 * orbit.Omega_error + other.Omega_error < 1e-8
     y = orbit.evaluate(orbit.period * np.arange(12) / 12)

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from small_models import oscillation
 
 from casadi_skin import OdeModel, find_orbit
 from casadi_skin.follow.branch import End
@@ -76,9 +77,7 @@ def test_breathers_are_followed_at_their_period(fixed: str) -> None:
 
 
 def test_a_period_that_is_the_orbits_own_is_not_held() -> None:
-    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
-    model = OdeModel("van der pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
-    cycle = find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+    cycle = oscillation()
     with pytest.raises(ValueError, match="fixed: given with a solution whose period is its own; accepted: an orbit"):
         cycle.follow("mu", 2.0, fixed="period")
     with pytest.raises(ValueError, match="fixed: given 'energy'; accepted: period, frequency"):

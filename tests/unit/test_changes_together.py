@@ -19,7 +19,6 @@ from casadi_skin.stability.tongues.chebyshev import Function, find_zeros
 def family() -> tuple[Family, list[OrbitState]]:
     """The first softening family of twelve sites, with orbits that need different numbers of steps."""
     branch = follow_family(Chain(12, 1.0, 0.25, -1.0), 1, 3.0, stability=False)
-    assert isinstance(branch.space, Family)
     return branch.space, [OrbitState(orbit.point.problem, orbit.point.z) for orbit in branch.orbits]
 
 
@@ -32,7 +31,6 @@ def test_transition_matrices_alike_are_in_one_number_of_steps(family: tuple[Fami
     assert len({found.steps for found in alike}) == 1
     for one, other in zip(free, alike, strict=True):
         assert np.linalg.norm(one.matrix - other.matrix) <= one.error + other.error
-        assert other.truncation is not None
         assert np.linalg.norm(other.truncation) <= 1e-9
 
 
@@ -46,7 +44,6 @@ def test_orbits_found_together_are_those_found_one_by_one(family: tuple[Family, 
     together = orbits_near(solver, problem, guesses, row)
     for guess, orbit in zip(guesses, together, strict=True):
         alone = orbit_near(solver, problem, guess, row)
-        assert orbit is not None
         assert orbit.z == pytest.approx(alone.z, abs=1e-12)
         assert np.max(np.abs(problem.evaluate(orbit.z)[0])) < 1e-12
         assert row @ orbit.z == pytest.approx(float(row @ guess), abs=1e-12)
@@ -66,7 +63,6 @@ def test_zeros_found_together_are_those_of_the_polynomials() -> None:
     assert [function.excludes_zero for function in functions] == [True, False, False, False]
     find_zeros(functions)
     for function, expected in zip(functions, zeros, strict=True):
-        assert function.zeros is not None
         places = [place for place, _, _ in function.zeros]
         assert places == pytest.approx(expected, abs=1e-9)
         for place, width, crosses in function.zeros:

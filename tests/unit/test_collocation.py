@@ -155,7 +155,6 @@ def test_a_degree_may_be_asked_for(kind: str, degree: int) -> None:
     branch = followed(tools)
     assert branch.complete
     problem = branch.orbits[-1].point.problem
-    assert isinstance(problem, CollocationProblem)
     np.testing.assert_array_equal(problem.table.nodes, TABLES[kind](degree).nodes)
     assert problem.degree == degree
     assert branch.orbits[-1].Omega == pytest.approx(duffing_frequency(3.0, -1.0, np.sqrt(2.0)), rel=1e-4)

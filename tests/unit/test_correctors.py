@@ -12,6 +12,7 @@ import pytest
 from kernels import needs_kernels, numpy_alone
 from numpy.typing import NDArray
 from orbit_problems import gauss_problem, linear_mode
+from small_models import oscillation
 
 from casadi_skin import BoundaryValueProblem, OdeModel, find_orbit
 from casadi_skin.follow.find import packed, space_of
@@ -148,10 +149,8 @@ def test_the_last_word_is_ipopts(monkeypatch: pytest.MonkeyPatch) -> None:
     refuse = lambda self, z, *_: Correction(z + 1e-6, Status.INFEASIBLE, 3, "Ipopt: no")  # noqa: E731
     monkeypatch.setattr(IpoptCorrector, "correct", refuse)
     monkeypatch.setattr(ArbitratedCorrector, "_is_optimal", lambda *_: False)  # or Ipopt is not asked
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, (1 - x**2) * y - x))
     with pytest.raises(BoundaryError, match="no point near the guess satisfies the equations"):
-        find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6)
+        oscillation()
 
 
 def test_newton_with_smaller_residuals_finds_what_ipopt_finds() -> None:
@@ -286,12 +285,10 @@ def test_a_correction_in_one_call_takes_the_steps_of_numpy(
         np.testing.assert_allclose(other.metric(guess, 1.0), weights, rtol=1e-15)
         assert other.speed_ratio(guess) == pytest.approx(problem.speed_ratio(guess), rel=1e-14)
         plain = NewtonCorrector(other, 1e-11, 8, shrink)._in_steps(guess, row, value, weights)
-    assert compiled is not None
     assert compiled.status is plain.status is status
     assert compiled.iterations == plain.iterations
     np.testing.assert_allclose(compiled.z, plain.z, rtol=0, atol=1e-12)
     if compiled.converged:
-        assert compiled.solve is not None
         residual, nonzeros = problem.evaluate(compiled.z)
         assert max(np.max(np.abs(residual)), abs(row @ compiled.z - value)) < 1e-11
         np.testing.assert_allclose(residual, other.evaluate(compiled.z)[0], rtol=0, atol=1e-14)
@@ -395,7 +392,6 @@ def test_steps_at_several_states_are_those_of_dense_elimination(sites: int, harm
     problem = TrigonometricProblem(Chain(sites, 1.0, 0.1, 1.0).gauge_model(), harmonics)
     z, residuals, nonzeros, rows = random_states(problem, 7, sites)
     steps = BorderedSolver.of(problem).steps(z, residuals, nonzeros, rows)
-    assert steps is not None
     unit, probe, signs = np.eye(problem.size)[-1], np.append(problem.probe, 0.0), []
     for i in range(7):
         matrix = dense(problem, nonzeros[i], rows[i])
@@ -441,7 +437,6 @@ def test_the_last_bits_of_a_state_do_not_depend_on_the_others(others: int) -> No
 
     def of(chosen: slice) -> list[Array]:
         steps = solver.steps(z[chosen], residuals[chosen], nonzeros[chosen], rows[chosen])
-        assert steps is not None
         here = z[chosen]
         return [
             steps.newton, steps.along, steps.response, steps.orientation, problem.all_prolonged(here, finer),

@@ -61,7 +61,6 @@ def test_the_estimate_is_the_true_error(state, transcription: str, degree: int) 
     off = np.abs(found.evaluate(s) - exact)
     true = np.max(np.max(off, axis=0) / np.max(np.abs(exact), axis=0))
     improved = improvement(found)
-    assert improved is not None
     step, error = improved
     of_parameter = abs(step[found.problem.states])
     assert 0.99 * true < error < 1.6 * true

@@ -79,8 +79,6 @@ def test_derivatives_are_those_of_located_orbits(model: Any) -> None:
     values = {"S": 1.0, "gamma": 0.3, "alpha": 1.0, "g": 1.0}
     for column, name in enumerate(over):
         ahead, behind = (thing.near({**values, name: values[name] + way}) for way in (h, -h))
-        assert ahead is not None
-        assert behind is not None
         moved = (ahead.numbers - behind.numbers) / (2 * h)
         scale = np.max(np.abs(moved))
         np.testing.assert_allclose(thing.derivatives[:, column], moved, rtol=0, atol=1e-6 * scale, err_msg=name)
@@ -97,7 +95,6 @@ def test_an_orbit_too_far_off_is_not_taken_for_that_of_another_family() -> None:
 def test_one_stiffness_a_site_moves_each_site_alone() -> None:
     thing = located(member(), tuple(f"alpha_{n}" for n in range(1, 7)))
     ahead = thing.near({f"alpha_{n}": 1.0 + 1e-5 * (n == 2) for n in range(1, 7)})
-    assert ahead is not None
     np.testing.assert_allclose(ahead.numbers - thing.numbers, 1e-5 * thing.derivatives[:, 1], rtol=0, atol=1e-9)
     assert quantities_of(ahead)["roughness"] == pytest.approx(2e-10, rel=1e-4)
 

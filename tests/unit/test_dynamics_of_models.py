@@ -75,7 +75,6 @@ def test_a_forced_response_draws_neighbours_in(method: str) -> None:
     response = orbit_of("response")
     kicked = simulate_orbit(response, response.period * np.arange(11), 1e-5, site=1, method=method)
     monodromy = response.floquet().monodromy
-    assert monodromy is not None
     linear = 1e-5 * np.array([np.linalg.matrix_power(monodromy, k)[:, 0] for k in range(11)])
     np.testing.assert_allclose(kicked.states - response.evaluate(0.0), linear, rtol=0, atol=2e-9)
     distance = distance_from_orbit(response, kicked)
@@ -108,7 +107,6 @@ def test_the_chain_as_a_model_of_ones_own_moves_as_the_chain() -> None:
     assert theirs.coordinates == "gauge"
     np.testing.assert_allclose(theirs.displacements, ours.displacements, rtol=0, atol=1e-11)
     found = equations_of_motion(model, parameters).gauge
-    assert found is not None
     np.testing.assert_allclose(found.log_scale, chain.log_rho, rtol=0, atol=1e-13)
 
 
@@ -177,7 +175,6 @@ def test_a_model_that_runs_away_keeps_what_was_computed(method: str) -> None:
     with pytest.raises(EvolutionError, match=f"{method}: the state was followed to t = ") as caught:
         evolve(OdeModel("blow-up", x, x**2), [1.0], None, np.linspace(0.0, 2.0, 201), method)
     kept = caught.value.evolution
-    assert kept is not None
     assert 0.9 < kept.t[-1] <= 1.0  # x = 1/(1 - t)
     np.testing.assert_allclose(kept.states[:91, 0], 1.0 / (1.0 - kept.t[:91]), rtol=1e-6)
     assert str(caught.value).isprintable()

@@ -63,7 +63,6 @@ def test_edges_that_coincide_at_a_crossing_are_followed_as_a_resonance() -> None
     """Mode 1 of five sites crosses mode 5 run through three times, where two of its multipliers are cube roots of 1."""
     family = follow_family(Chain(5, 0.5, 0.2, -1.0), 1, 2.0, stability=True)
     diagram = family.stability_diagram
-    assert diagram is not None
     (number,) = (k for k, edge in enumerate(diagram.further) if abs(edge.S - 0.968627) < 1e-5)
     assert len(diagram.windows) == 1  # without a width
     curve = family.edge(number, further=True).curve("gamma", 0.21)
@@ -115,7 +114,6 @@ def test_equal_multipliers_of_a_ring_are_followed_together() -> None:
     ring = Lattice([8], [Site("a", onsite="0*y")], [Bond("a", "a", [1], "d + b*d^3")], "periodic", {"b": 1.0})
     family = follow_family(ring, 8, 3.0, stability=True)
     diagram = family.stability_diagram
-    assert diagram is not None
     assert (len(diagram.changes), len(diagram.further)) == (1, 1)  # the edge of two is there once
     for further, S in ((False, diagram.changes[0].S), (True, diagram.further[0].S)):
         curve = family.edge(0, further).curve("b", 1.3)

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from small_models import oscillation, van_der_pol
 
 from casadi_skin import OdeModel, find_orbit, simulate
 from casadi_skin.follow.space import BoundaryError
@@ -36,8 +37,6 @@ def test_an_orbit_that_shrinks_to_an_equilibrium_is_none(period: float, toleranc
 
 def test_an_equilibrium_that_meets_the_tolerance_is_no_orbit_either(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the solver hands back is looked at whatever it says of it."""
-    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
-    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
     solve = Statement.solve
 
     def at_rest(statement: Statement, guess: object, **options: object) -> object:
@@ -47,7 +46,7 @@ def test_an_equilibrium_that_meets_the_tolerance_is_no_orbit_either(monkeypatch:
 
     monkeypatch.setattr(Statement, "solve", at_rest)
     with pytest.raises(BoundaryError, match=r"the orbit has shrunk to it \(x = .*, y = .*, at mu = 1\)"):
-        find_orbit(model, lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+        oscillation()
 
 
 @pytest.mark.parametrize("rest", [0.0, 5.0])
@@ -81,8 +80,7 @@ def test_a_bad_guess_is_not_called_a_singular_problem() -> None:
 @pytest.mark.parametrize("value", [100.0, 1000.0])
 def test_a_relaxation_oscillation_is_found_from_its_simulation(value: float) -> None:
     """Van der Pol: jumps of 1e-4 or 1e-6 of the period between output times; the period by LSODA's own events."""
-    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
-    model = OdeModel("van der Pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
+    model = van_der_pol()
     cycle = simulate(model, [2.0, 0.0], np.linspace(0.0, 5.67 * value, 2001), parameters={"mu": value}).last_cycle()
     orbit = find_orbit(model, cycle, parameters={"mu": value}, tolerance=1e-8)
 

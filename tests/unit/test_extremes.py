@@ -123,12 +123,10 @@ def test_physical_coordinates_agree_where_they_work() -> None:
 @pytest.mark.slow
 def test_physical_coordinates_go_wrong_where_the_gauge_does_not() -> None:
     far = compare(40, 0.7)
-    assert far is not None
     assert far.multiplier_physical > 1e-7
     assert far.frequency_physical > 1e-4
     assert max(far.multiplier_gauge, far.frequency_gauge, far.orbit_gauge) < 1e-13
     near = compare(8, 0.25)
-    assert near is not None
     assert max(near.multiplier_physical, near.frequency_physical, near.orbit_physical) < 1e-13
 
 
@@ -138,7 +136,6 @@ def test_physical_coordinates_go_wrong_where_the_gauge_does_not() -> None:
 def test_the_third_harmonic_takes_over_at_the_resonance() -> None:
     branch = follow_family(SOFTENING, 1, 3.5, tolerance=1e-9, corrector="newton")
     orbit = third_harmonic_leads(branch)
-    assert orbit is not None
     assert abs(orbit.S - 3.17502) < 1e-4
     shares = harmonic_shares(orbit)
     assert abs(shares[0] - shares[1]) < 1e-6

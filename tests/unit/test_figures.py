@@ -144,7 +144,6 @@ def test_branches_that_ended_early_say_so(plain: Branch) -> None:
 
 def test_profiles_have_norm_one_and_the_sign_of_the_linear_mode(soft: Branch, plain: Branch) -> None:
     figure = profile_figure([soft, plain])
-    assert figure is not None
     panel = figure.axes[0]
     assert panel.get_title(loc="left") == "$j = 1$"
     mode = points(lines(panel, "linear mode")[0])[:, 1]
@@ -161,7 +160,6 @@ def test_profiles_have_norm_one_and_the_sign_of_the_linear_mode(soft: Branch, pl
 def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
     branch = follow_family(Chain(4, 1.0, 0.1, 1.0), 1, 0.1, at=[0.1], tolerance=1e-3, corrector="newton")
     figure = profile_figure([branch])
-    assert figure is not None
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"]
 
 
@@ -169,7 +167,6 @@ def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
 def test_long_chains_are_lines_without_markers(sites: int) -> None:
     branch = follow_family(Chain(sites, 1.0, 0.25, 1.0), sites, 1e-3, at=[1e-3], tolerance=1e-2, tail="full")
     figure = profile_figure([branch])
-    assert figure is not None
     assert [axes.get_yscale() for axes in figure.axes] == ["linear", "log"]
     assert {line.get_marker() for axes in figure.axes for line in axes.get_lines()} == {"None"}
     assert figure.axes[0].get_xlim()[0] > sites - 200  # the sites that move; all of them on the logarithmic scale
@@ -179,7 +176,6 @@ def test_long_chains_are_lines_without_markers(sites: int) -> None:
 def test_a_chain_without_its_tail_is_drawn_at_its_core() -> None:
     branch = follow_family(Chain(1000, 1.0, 0.25, 1.0), "last", 1e-3, at=[1e-3], tolerance=1e-2)
     figure = profile_figure([branch])
-    assert figure is not None
     core = branch.space.coordinates.core.cells
     assert figure.axes[1].get_xlim() == (1000.5 - core, 1000.5)
 
@@ -187,7 +183,6 @@ def test_a_chain_without_its_tail_is_drawn_at_its_core() -> None:
 def test_passages_of_the_same_amplitude_are_told_apart(soft: Branch) -> None:
     requested = tuple(orbit for orbit in soft.orbits if orbit.point.requested)
     figure = profile_figure([dataclasses.replace(soft, solutions=(requested[0], requested[0]))])
-    assert figure is not None
     assert {"$S = 0.2$", "$S = 0.2$ (passage 2)"} <= legend_labels(figure)
 
 
@@ -196,7 +191,6 @@ def test_passages_of_the_same_amplitude_are_told_apart(soft: Branch) -> None:
 
 def test_multipliers_leave_the_circle_at_the_changes(soft: Branch) -> None:
     figure = multiplier_figure(soft)
-    assert figure is not None
     moduli, angles, *planes = figure.axes
     (largest,) = lines(moduli, r"largest $\left|\lambda\right|$")
     S, heights = points(largest).T
@@ -276,7 +270,6 @@ def test_no_text_covers_another(draw: str, soft: Branch, plain: Branch) -> None:
         )([soft])
 
     figure = drawn()
-    assert figure is not None
     assert overlaps(figure) == []
     panels = [axes.get_position() for axes in figure.axes]
     assert sum(panel.width * panel.height for panel in panels) > 0.4  # of the figure

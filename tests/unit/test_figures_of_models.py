@@ -14,11 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 from PIL import Image
-from small_models import forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
+from small_models import bratu, forced_orbit, fput, limit_cycle, pendulums, two_wells, van_der_pol
 
 from casadi_skin import (
     Bond,
-    BoundaryValueProblem,
     Branch,
     Chain,
     Lattice,
@@ -65,11 +64,8 @@ def resonance() -> Branch:
 
 @pytest.fixture(scope="module")
 def solutions() -> Branch:
-    """Solutions of u'' + lam e^u = 0 with u = 0 at both ends, round their fold."""
-    u, v, lam = (ca.SX.sym(name) for name in ("u", "v", "lam"))
-    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
-    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lam": 0.5})
-    return problem.solve([0.0, 0.0]).follow("lam", 6.0)
+    """Those of Bratu's problem round their fold."""
+    return bratu(0.5).solve([0.0, 0.0]).follow("lam", 6.0)
 
 
 # Families -------------------------------------------------------------------------------------------------------------
@@ -163,7 +159,6 @@ def test_the_amplitude_of_a_model_with_its_own_normalisation_is_called_so() -> N
     branch = follow_family(model, 1, 1.0, at=[1.0], tolerance=1e-6, corrector="newton")
     assert frequency_figure([branch]).axes[0].get_xlabel() == "amplitude $S$"
     figure = profile_figure([branch])
-    assert figure is not None
     assert np.linalg.norm(points(lines(figure.axes[0], "$S = 1$")[0])[:, 1]) == pytest.approx(1.0)
 
 
@@ -274,7 +269,6 @@ def test_branches_that_ended_early_say_so(cycles: Branch) -> None:
 
 def test_multipliers_of_a_driven_oscillator(resonance: Branch) -> None:
     figure = multiplier_figure(resonance, "Resonance")
-    assert figure is not None
     moduli, *planes = figure.axes
     (largest,) = lines(moduli, r"largest $\left|\lambda\right|$")
     kept = {tuple(row) for row in np.column_stack([resonance["omega"], resonance.max_abs_multiplier])}
@@ -295,11 +289,9 @@ def test_multipliers_of_a_driven_oscillator(resonance: Branch) -> None:
 
 def test_multipliers_of_a_cycle_and_of_a_family(cycles: Branch, families: list[Branch]) -> None:
     figure = multiplier_figure(cycles)
-    assert figure is not None
     assert len(lines(figure.axes[1], "trivial multiplier")) == 1
     assert figure.axes[0].get_xlabel() == "mu"
     figure = multiplier_figure(families[1])
-    assert figure is not None
     assert len(lines(figure.axes[2], "trivial pair")) == 1
     assert figure.get_suptitle() == "family $j = 3$; FPUT-beta: bond = $1$"
     (ticks,) = figure.axes[0].collections
@@ -452,5 +444,4 @@ def test_no_text_covers_another(draw: str, cycles: Branch, resonance: Branch, fa
         "portrait": lambda: portrait_figure(cycles.orbits[:3]),
     }
     figure = figures[draw]()
-    assert figure is not None
     assert overlaps(figure) == []

@@ -191,7 +191,6 @@ def test_flows_are_within_their_estimates_of_an_independent_integration(
     assert transition.fraction == 0.25
     assert transition.error <= (max(10 * tolerance, 3e-8) if kind is CvodesFlow else tolerance + 1e-11)
     assert np.linalg.norm(transition.matrix - variational(orbit)) <= transition.error + 2e-11
-    assert transition.truncation is not None
     assert np.linalg.norm(transition.truncation) <= transition.error
 
 
@@ -351,7 +350,6 @@ def test_the_error_of_the_multipliers_follows_from_that_of_mu(power: int) -> Non
 def exact_floquet(orbit: Orbit) -> Floquet:
     """The same orbit at twice its resolution, corrected to round-off, with a flow of many steps."""
     space, problem = orbit.space, orbit.point.problem
-    assert isinstance(space, Family)
     fine = space.levels.problem(next(r for r in space.levels.resolutions if r >= max(2 * problem.resolution, 16)))
     z, row = problem.prolong(orbit.point.z, fine), fine.parameter_row()
     for _ in range(2):

@@ -102,7 +102,6 @@ def test_files_and_pictures_of_a_steep_chain(tmp_path: Path) -> None:
         assert file.variables["log10_profile"][-1].min() < -1000.0
         assert set(np.unique(file.variables["profile_sign"][:])) == {-1, 1}
     figure = profile_figure([branch])
-    assert figure is not None
     assert figure.axes[1].get_ylim()[0] < -1000.0
     assert save(figure, tmp_path / "profile")
 

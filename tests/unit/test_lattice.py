@@ -26,8 +26,6 @@ def by_hand(name: str) -> OdeModel:
     """A model of examples/models/lattices.py."""
     file = Path(__file__).parents[2] / "examples" / "models" / "lattices.py"
     specification = importlib.util.spec_from_file_location("hand", file)
-    assert specification is not None
-    assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     model: OdeModel = getattr(module, name)()

@@ -83,7 +83,6 @@ def test_pictures_of_bands(lattice: Lattice) -> None:
 
 def test_profiles_in_the_plane_are_drawn_of_two_dimensions_alone() -> None:
     drawn = plane_figure(follow_family(plane((3, 2)), mode=1, amplitude_max=0.2, at=(0.1,)))
-    assert drawn is not None
     values = drawn.axes[0].images[0].get_array()
     assert values.shape == (2, 3)
     assert np.linalg.norm(values) == pytest.approx(1.0, rel=1e-6)

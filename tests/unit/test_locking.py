@@ -62,7 +62,6 @@ def test_a_process_that_is_killed_gives_it_back_whatever_it_has_forked(tmp_path:
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, str(tmp_path)], stdout=-1, text=True, start_new_session=True
     ) as held:
-        assert held.stdout is not None
         assert held.stdout.readline() == "held\n"
         with pytest.raises(DirectoryError, match=f"process {held.pid} on .* computes in it; accepted: another"):
             in_use(tmp_path, silent).__enter__()

@@ -176,7 +176,6 @@ def test_localised_multipliers_are_those_of_finite_lattices_with_all_sites(
     """Which come nearer the longer they are; by their own families and variational systems."""
     endless = long(cell, math.inf, boundary, **values)
     found = follow_family(endless, mode, S, at=(S,), tolerance=1e-9).at(S=S).floquet()
-    assert found.tail is not None
     assert found.mu.size == count
     assert found.stable == (cell is RESONATORS)
     assert np.max(found.mu_error) < 1e-8
@@ -190,7 +189,6 @@ def test_localised_multipliers_are_those_of_finite_lattices_with_all_sites(
     assert np.max(distances[1]) < 1e-7
     fewer = follow_family(endless, mode, S, at=(S,), tolerance=1e-9, stability_sites=found.tail.sites + 30)
     other = fewer.at(S=S).floquet()
-    assert other.tail is not None
     assert other.tail.sites != found.tail.sites
     assert np.all(np.abs(other.mu - found.mu) <= other.mu_error + found.mu_error)
 
@@ -214,8 +212,6 @@ def test_a_chain_declared_as_a_long_lattice_has_the_family_and_the_stability_of_
         if S == 1.0:
             continue
         mine, theirs = one.floquet(), two.floquet()
-        assert mine.tail is not None
-        assert theirs.tail is not None
         assert mine.tail.sites == theirs.tail.sites == 190
         np.testing.assert_allclose(mine.mu, theirs.mu, rtol=0, atol=float(np.max(mine.mu_error + theirs.mu_error)))
         np.testing.assert_allclose(mine.tail.continuous.arcs, theirs.tail.continuous.arcs, rtol=1e-12)

@@ -173,7 +173,6 @@ def test_a_worker_that_ended_between_two_tasks_is_started_again(tmp_path: Path) 
     for _ in range(2):
         result = worker.compute(computer, next(grid.tasks(grid.coarsest)))
         assert (result.kind, result.reason) == ("", "")
-        assert worker.process is not None
         os.kill(worker.process.pid, signal.SIGKILL)
         worker.process.wait()
     worker.end()

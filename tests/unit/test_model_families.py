@@ -635,7 +635,6 @@ def test_a_driven_oscillator_loses_its_stability_at_its_fold() -> None:
     assert abs(change.value - point.parameters["omega"]) <= change.error + 10 * point.error + 1e-9
     assert change.Omega == pytest.approx(change.value, rel=1e-12)
     orbit = point.solution
-    assert isinstance(orbit, Orbit)
     omega = orbit.parameters["omega"]
 
     def field(t: float, x: Array) -> Array:

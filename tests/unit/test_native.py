@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from kernels import forget, needs_kernels, numpy_alone
 from lattices import plane
-from small_models import pendulums
+from small_models import oscillation, pendulums
 
 from casadi_skin import Branch, Chain, Orbit, find_orbit, follow_family, native
 from casadi_skin.dynamics.evolution import equations_of_motion
@@ -128,7 +128,6 @@ def test_multipliers_of_orbits_at_once_are_those_by_numpy(kind: str) -> None:
     better, closed = space._better(point), Closed(point.problem, point.z, orbit.model)
     jacobians = point.problem.discretisation.jacobians(point.z, point.problem.numbers, closed.size)
     assert (needed_parts(point.problem, jacobians) is not None) == (kind == "far")
-    assert better is not None
     assert closed.found_at_once(True) is not None
     finer = Closed(better.problem, better.z, orbit.model)
     with numpy_alone():
@@ -171,7 +170,6 @@ def test_errors_of_multipliers_are_those_by_numpy(angle: float) -> None:
 
     (found, one), (better, other) = both(0.0), both(1e-7)
     plain, row = judged(one, other, 1e-8, 0.5), orbits.judged(5, found, better, 4.0, 1e-6)
-    assert row is not None
     multipliers, (all_logs, errors, on_circle, real), matrix, (_, deviation, error, largest, allowed) = row
     for own, numbers in zip(
         (multipliers, all_logs, errors[:4], on_circle[:4], real[:4], matrix, [deviation, error, largest, allowed]),
@@ -319,11 +317,9 @@ def test_derivatives_of_segments_are_those_of_casadi(without: bool) -> None:
 @needs_kernels
 def test_orbits_do_not_depend_on_the_kernels() -> None:
     """The same bits on processors of all kinds, the same numbers by numpy and SuperLU but for rounding."""
-    x, v = ca.SX.sym("x"), ca.SX.sym("v")
 
     def orbit() -> tuple[float, np.ndarray]:
-        model = OdeModel("van der Pol", ca.vertcat(x, v), ca.vertcat(v, (1.0 - x**2) * v - x))
-        found = find_orbit(model, lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)], 6.6)
+        found = oscillation()
         return found.period, found.floquet().multipliers
 
     period, multipliers = orbit()
@@ -448,7 +444,6 @@ def test_factors_of_small_matrices_are_those_of_numpy(size: int) -> None:
         found = kernel.factors(full[rows, columns], full[-1])
         if np.linalg.cond(full / np.abs(full).max(axis=1)[:, None].clip(1e-300)) > 1e6:
             continue
-        assert found is not None
         memory, sign = found
         b = random.normal(size=(3, size))
         known = np.linalg.solve(full, b.T).T

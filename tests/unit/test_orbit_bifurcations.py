@@ -25,9 +25,7 @@ def circuit(epsilon: float) -> OdeModel:
 def cycles(epsilon: float, to: float) -> Branch:
     start = find_equilibrium(circuit(epsilon), [0.00125, -0.001, 0.000525], parameters={"nu": -0.9})
     hopf = start.follow("nu", -0.55).special_points[0]
-    branch = hopf.follow("nu", to, stability=True)
-    assert isinstance(branch, Branch)
-    return branch
+    return hopf.follow("nu", to, stability=True)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
+from small_models import bratu
 
 from casadi_skin import BoundaryValueProblem, OdeModel
 from casadi_skin.follow.space import BoundaryError
@@ -40,11 +41,6 @@ def test_a_shock_is_reached_by_a_short_continuation_that_is_told() -> None:
 @pytest.mark.slow
 def test_what_was_tried_is_told_where_nothing_leads_to_a_solution() -> None:
     """Bratu's problem beyond its fold."""
-    u, v, lam = symbols("u v lambda")
-    model = OdeModel("Bratu", ca.vertcat(u, v), ca.vertcat(v, -lam * ca.exp(u)), lam)
-    problem = BoundaryValueProblem(model, [model.start(u), model.end(u)], parameters={"lambda": 5.0})
-    words = (
-        r"tried as well: .*lambda followed from 50, 500, 0\.5; not tried: lambda by arclength past folds, with follow"
-    )
+    words = r"tried as well: .*lam followed from 50, 500, 0\.5; not tried: lam by arclength past folds, with follow"
     with pytest.raises(BoundaryError, match=words):
-        problem.solve([0.0, 0.0])
+        bratu(5.0).solve([0.0, 0.0])

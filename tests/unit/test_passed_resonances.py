@@ -11,8 +11,6 @@ from scipy.sparse import csc_matrix
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.corners import PassedResonance, _counted, passed_resonances, positive_eigenvalues
 from casadi_skin.follow.family import Family
-from casadi_skin.lattice.chain_coordinates import LongChain
-from casadi_skin.lattice.core_with_tail import CoreWithTailProblem
 from casadi_skin.runs.program import main
 from casadi_skin.zero.family import family_request
 
@@ -38,8 +36,6 @@ def test_eigenvalues_with_an_eliminated_tail_are_counted_as_those_of_all_sites(
     chain, mode = Chain(sites, 1.0, gamma, g), "last" if g > 0 else "first"
     tailed, whole = (Family(family_request(chain, mode, 2.0, tail=tail)) for tail in ("eliminated", "full"))
     problem, full, z = tailed.levels.problem(6), whole.levels.problem(6), tailed.start.z
-    assert isinstance(problem, CoreWithTailProblem)
-    assert isinstance(tailed.coordinates, LongChain)
     counts = []
     for u in us:
         for parameter in (0.0, 3.0 * g, -50.0 * g):

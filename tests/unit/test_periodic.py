@@ -140,7 +140,6 @@ def test_van_der_pol_at_10() -> None:
     first = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
     branch = first.follow("mu", 10.0, max_step=0.5)
     orbit = branch.solutions[-1]
-    assert isinstance(orbit, Orbit)
 
     def field(_: float, s: Array) -> list[float]:
         return [s[1], 10 * (1 - s[0] ** 2) * s[1] - s[0], 1 - s[0] ** 2]
@@ -220,7 +219,6 @@ def test_forced_duffing_through_both_folds() -> None:
     folds = [fold["omega"] for fold in branch.folds]
     assert folds[0] > 2.0 > folds[-1]
     for fold in branch.folds:
-        assert isinstance(fold, Orbit)
         nearest = np.min(np.abs(fold.floquet().multipliers - 1.0))
         assert nearest < 1e-3
         # det M = exp(-delta T) in any case (Liouville)
@@ -232,7 +230,6 @@ def test_forced_duffing_through_both_folds() -> None:
         start = orbit.evaluate(0.0)
         np.testing.assert_allclose(flow(field, start, np.pi).y[:, -1], start, atol=1e-7)
     for orbit in orbits:
-        assert isinstance(orbit, Orbit)
         by = [np.sort_complex(orbit.floquet(b).multipliers) for b in ("collocation", "cvodes")]
         np.testing.assert_allclose(by[0], by[1], atol=1e-7)
         assert orbit.floquet().trivial == 0
@@ -309,7 +306,6 @@ def test_a_family_of_lyapunov_orbits_in_its_energy(lyapunov: tuple[Any, float, f
     for orbit in branch.solutions:
         assert abs(float(at_guess(orbit.evaluate(0.0), [MOON, orbit.parameters["E"]]))) < 1e-9
     last = branch.solutions[-1]
-    assert isinstance(last, Orbit)
     _, other, _ = lyapunov_by_shooting(float(last.evaluate(0.0)[0]))
     assert abs(last.period - other) < 1e-8
     assert np.all(np.diff([o.period for o in branch.solutions if isinstance(o, Orbit)]) > 0)

@@ -138,7 +138,6 @@ def measured(degree: int, transcription: str) -> Meshes:
     errors, problems, unknowns = list[float](), list[BoundaryProblem](), list[Any]()
     for intervals in (18, 40):
         problem = space.levels.problem(intervals)
-        assert isinstance(problem, BoundaryProblem)
         found = NewtonCorrector(problem, 1e-13).correct(packed(problem, guess), problem.parameter_row(), 0.0)
         assert found.converged
         places = np.linspace(0.0, 1.0, 2001)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from equilibrium_models import symbols
 from scipy.integrate import solve_ivp
+from small_models import oscillation
 
-from casadi_skin import OdeModel, find_equilibrium, find_orbit
+from casadi_skin import OdeModel, find_equilibrium
 from casadi_skin.follow import moving
 from casadi_skin.follow.branch import Branch, End
 
@@ -21,15 +22,9 @@ def from_hopf(branch: Branch, place: int, parameter: str, to: float, **options: 
     return points[place].follow(parameter, to, **options)
 
 
-def van_der_pol() -> OdeModel:
-    x, y, mu = symbols("x y mu")
-    return OdeModel("van der pol", ca.vertcat(x, y), ca.vertcat(y, mu * (1 - x**2) * y - x), mu)
-
-
 def test_steps_turn_further_where_layers_do() -> None:
     """By the angle between tangents alone there were 76 points, and 44 where meshes move from a ratio of 20 on."""
-    circle = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
-    branch = circle.follow("mu", 20.0)
+    branch = oscillation().follow("mu", 20.0)
     assert branch.end is End.REACHED
     assert len(branch) <= 24
 
@@ -37,8 +32,7 @@ def test_steps_turn_further_where_layers_do() -> None:
 @pytest.mark.slow
 def test_relaxation_oscillations_of_van_der_pol_are_followed_to_stiffness_one_million() -> None:
     """The period by Dorodnitsyn's expansion (1947), whose next terms are of order log(mu)/mu."""
-    circle = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
-    branch = circle.follow("mu", 1000.0)
+    branch = oscillation().follow("mu", 1000.0)
     assert branch.end is End.REACHED
     assert len(branch) <= 120
     expected = (3.0 - 2.0 * np.log(2.0)) * 1000.0 + 3.0 * 2.338107 * 1000.0 ** (-1.0 / 3.0)
@@ -228,7 +222,7 @@ def test_special_orbits_are_located_between_orbits_whose_layers_are_elsewhere() 
 
 def test_points_between_two_are_the_same_on_a_mesh_that_moves() -> None:
     """At mu = 8 of van der Pol: from orbits far apart, and from a branch that stops there."""
-    circle = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+    circle = oscillation()
     branch = circle.follow("mu", 20.0)
     exact = circle.follow("mu", 8.0).solutions[-1]
     assert branch.at(8.0).period == pytest.approx(exact.period, rel=1e-9)
@@ -246,7 +240,7 @@ def test_points_between_two_are_the_same_on_a_mesh_that_moves() -> None:
 @pytest.mark.parametrize(("degree", "table"), [(4, "gauss"), (5, "radau")])
 def test_velocities_of_a_mesh_are_those_by_numpy(degree: int, table: str, monkeypatch: pytest.MonkeyPatch) -> None:
     rng, method = np.random.default_rng(7), {"transcription": table, "degree": degree}
-    orbit = find_orbit(van_der_pol(), lambda t: [2 * np.cos(t), -2 * np.sin(t)], 6.6, parameters={"mu": 3.0}, **method)
+    orbit = oscillation(3.0, **method)
     problem, z = orbit.problem, orbit.point.z
     t, weights, change = rng.normal(size=z.size), rng.uniform(0.5, 2.0, z.size), rng.normal(size=problem.resolution)
 

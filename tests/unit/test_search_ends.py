@@ -63,7 +63,6 @@ def test_a_parent_that_is_killed_leaves_no_process_running(tmp_path: Path) -> No
     environment = {**os.environ, "PYTHONPATH": paths}
     command = [sys.executable, str(script)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as parent:
-        assert parent.stdout is not None
         workers = [int(parent.stdout.readline()) for _ in range(2)]
         started = children(parent.pid)  # those that share the queue and the resources of Python among them
         assert set(workers) <= set(started)

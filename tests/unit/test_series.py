@@ -113,7 +113,6 @@ def test_a_point_that_the_corrector_moves_is_where_the_walk_goes_on(monkeypatch:
         if not point.walked or round(point.parameter, 9) in bases:
             return word
         bases.add(round(point.parameter, 9))
-        assert isinstance(word, Point)
         return replace(word, z=word.z * (1.0 + 1e-12))
 
     monkeypatch.setattr(PointSolver, "_last_word", moving)

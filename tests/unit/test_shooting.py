@@ -85,7 +85,6 @@ def estimates(chain: Chain, mode: int, S: float, digits: tuple[int, ...]) -> lis
     found = []
     for d in digits[:-1]:
         problem = levels.problem(d)
-        assert isinstance(problem, ShootingProblem)
         guess = problem.pack(exact.problem.sample(exact.z, np.zeros(1))[0], orbit.Omega, exact.parameter)
         correction = levels.corrector(problem).correct(guess, problem.parameter_row(), exact.parameter)
         if not correction.converged:

@@ -128,7 +128,6 @@ def test_power_series_of_a_branch_solve_the_equations(sites: float, mode: int | 
     points = [point for point in tools.continuation((tools.start,)) if point.walked]
     for point in (tools.start, points[1], points[-2]):
         problem, z = point.problem, point.z
-        assert isinstance(problem, CoreWithTailProblem)
         solve = tools.point_solver.factor(problem, z, tools.point_solver.metric(problem, z) * point.tangent)
         z = z - solve(np.append(problem.evaluate(z)[0], 0.0))
         if point is tools.start:

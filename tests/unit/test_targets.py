@@ -201,7 +201,6 @@ def test_a_run_that_is_taken_up_again_has_the_same_points_at_Omega_with_the_same
 def test_what_was_missed_is_kept_in_the_journal() -> None:
     tools = Family(family_request(Chain(2, 1.0, 0.3, 1.0), 1, 1.0, corrector="newton", at_Omega=(9.0,)))
     known = known_of([EndRecord("mode 1", 0, End.LIMIT, "words")], "mode 1", tools, False)
-    assert known.end is not None
     missed = [tools.target("Omega", 9.0)]
     restored = BranchRun(tools, missed=missed).branch(known.end.end, known.end.detail)
     assert (restored.end, restored.detail, restored.misses) == (End.LIMIT, "words", {"Omega": (9.0,)})

@@ -76,7 +76,6 @@ class AutoOrbits:
 
     def __init__(self, model: OdeModel, work: Path, orbit: object, value: float) -> None:
         auto = folder()
-        assert auto is not None
         self.work, self.size = work, model.full_size
         times = np.linspace(0.0, orbit.period, SAMPLES)  # type: ignore[attr-defined]
         states = orbit.evaluate(times)  # type: ignore[attr-defined]

@@ -76,6 +76,5 @@ def reference(case: FamilyCase, S: Array) -> Family:
     asked = tuple(float(value) for value in np.unique(np.minimum([*S, *case.at], case.at[-1])))
     exact = replace(case, at=asked)
     family = our_family(exact, 1e-12, {"corrector": "newton"}, True)()
-    assert family.multiplier is not None
     index = [int(np.argmin(abs(family.S - value))) for value in S]
     return Family(family.S[index], family.Omega[index], family.multiplier[index])

@@ -112,7 +112,6 @@ def table(request: pytest.FixtureRequest) -> Iterator[Table]:
 def test_reference_against_digits_computed_elsewhere() -> None:
     case = FamilyCase()
     exact = reference(case, np.array(case.at))
-    assert exact.multiplier is not None
     assert exact.Omega == pytest.approx([1.036393147166972, 1.018532435491958, 0.765958900020734], rel=1e-13)
     assert exact.multiplier[1:] == pytest.approx([1.171275734790, 1.2016342572], abs=2e-10)
 
