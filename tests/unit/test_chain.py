@@ -315,19 +315,6 @@ def test_the_slope_of_the_frequency_is_that_of_the_papers_sums(
     assert off(sensitivity(sites, alpha, gamma, -0.7, mode), relative) < 1e-12
 
 
-@pytest.mark.parametrize("mode", [1, 3, 6])
-@pytest.mark.parametrize("gamma", [0.25, -0.5])
-def test_the_slope_agrees_with_the_appendix_in_numerical_eigenvectors(gamma: float, mode: int) -> None:
-    """3 g/(8 omega) sum(v u^3)/(sum(u^2) sum(v u)), u and v diagonalise D and its transpose."""
-    matrix = paper_matrix(6, 1.0, gamma)
-    values, right = np.linalg.eig(matrix)
-    transposed_values, left = np.linalg.eig(matrix.T)
-    u, v = right[:, np.argsort(values)[mode - 1]], left[:, np.argsort(transposed_values)[mode - 1]]
-    omega = np.sqrt(np.sort(values)[mode - 1])
-    expected = 3 * 2.0 / (8 * omega) * (v @ u**3) / ((u @ u) * (v @ u))
-    assert closed_forms.frequency_slope(6, 1.0, gamma, 2.0, mode) == pytest.approx(expected, rel=1e-13)
-
-
 @pytest.mark.parametrize("mode", [1, 2, 3])
 def test_one_way_coupling_gives_the_limit_of_the_papers_sums(mode: int) -> None:
     """As gamma -> 1 the edge site alone is left in both sums: the ratio is sin^2(N j pi/(N+1))."""

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from orbit_problems import gauss_problem, radau_problem, solved
+from orbit_problems import gauss_problem
 
 from casadi_skin import Branch, Chain, Orbit
 from casadi_skin.follow.family import Family
@@ -21,30 +18,8 @@ from casadi_skin.zero.collocation import CollocationProblem
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.problem import OrbitProblem
 
-Array = NDArray[np.float64]
 QUARTER, FULL = SymmetryClass.QUARTER, SymmetryClass.FULL
-KINDS = [gauss_problem, radau_problem]
 TABLES = {"gauss": gauss_table, "radau": radau_table}
-Kind = Callable[..., CollocationProblem]
-
-
-def lengths_of(intervals: int, seed: int = 0) -> Array:
-    return np.random.default_rng(seed).dirichlet(8.0 * np.ones(intervals))
-
-
-# A mesh as constants ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("symmetry", SymmetryClass)
-def test_an_uneven_mesh_finds_the_same_orbit(kind: Kind, symmetry: SymmetryClass) -> None:
-    chain = Chain(3, 1.0, 0.3, -1.0)
-    even = kind(chain.gauge_model(), round(12 * symmetry.value), symmetry, degree=8)
-    uneven = even.with_constants(lengths_of(even.resolution))
-    one, other = (solved(p, chain, 1, -1.0, 4) for p in (even, uneven))
-    assert other[even.Omega_index] == pytest.approx(one[even.Omega_index], rel=1e-11)
-    theta = np.random.default_rng(3).uniform(-9, 9, 40)
-    np.testing.assert_allclose(uneven.sample(other, theta), even.sample(one, theta), atol=2e-6)
 
 
 # Placement along a branch -------------------------------------------------------------------------------------------

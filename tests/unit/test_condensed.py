@@ -168,7 +168,6 @@ def test_superlu_takes_what_the_kernel_does_not() -> None:
 
 
 @needs_kernels
-@needs_kernels
 def test_borders_of_special_orbits_are_solved_as_by_superlu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also transposed; of a torus two copies of an orbit are eliminated side by side.
 
@@ -213,17 +212,3 @@ def test_two_meshes_share_a_solver_and_no_factors() -> None:
         assert not np.allclose(one, other)
     for solve, x in zip(solves, solutions, strict=True):
         np.testing.assert_array_equal(solve(b), x)
-
-
-@needs_kernels
-@pytest.mark.parametrize("table", TABLES)
-@pytest.mark.parametrize(("integrals", "periodic"), [(0, True), (2, False)])
-def test_equations_are_assembled_as_by_numpy(table: str, integrals: int, periodic: bool) -> None:
-    random = np.random.default_rng(2)
-    problem = equations(3, 5, table, 4, integrals, periodic)
-    z, lengths = random.normal(size=problem.size), random.dirichlet(np.ones(5))
-    found = problem.with_constants(lengths).evaluate(z)
-    with numpy_alone():
-        plain = equations(3, 5, table, 4, integrals, periodic).with_constants(lengths).evaluate(z)
-    for one, other in zip(found, plain, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=2e-15 * max(1.0, np.max(np.abs(other))))

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.point import LocalCurve, PointSolver, predictor
 from casadi_skin.lattice.closed_forms import duffing_displacement, duffing_frequency
 from casadi_skin.solve.ipopt import ArbitratedCorrector
@@ -58,27 +57,7 @@ def exact_frequency(chain: Chain, S: float) -> float:
     return duffing_frequency(2.0 + chain.alpha, chain.g, np.sqrt(S))
 
 
-def worst_relative_error(branch: Branch) -> float:
-    """Of a family of one site, against the Duffing oscillator at every point's S."""
-    exact = np.array([exact_frequency(branch.space.model, S) for S in branch.S])
-    return float(np.max(np.abs(branch.Omega / exact - 1.0)))
-
-
 # One site: the Duffing oscillator -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-11, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (0.5, 3.0), (-1.0, 2.99), (-2.0, 1.2)])
-@pytest.mark.parametrize("method", ["trigonometric", pytest.param("gauss", marks=pytest.mark.slow)])
-def test_one_site_has_the_exact_frequency_along_the_whole_family(
-    g: float, amplitude_max: float, tolerance: float, method: str
-) -> None:
-    branch = followed(Chain(1, 1.0, 0.0, g), 1, amplitude_max, tolerance, method=method)
-    assert branch.complete
-    assert branch.S[-1] == amplitude_max
-    assert len(branch) > 15
-    assert np.all(np.diff(branch.S) > 0)
-    assert worst_relative_error(branch) <= tolerance
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-11, marks=pytest.mark.slow)])
@@ -117,23 +96,6 @@ def test_end_breathers_have_the_reference_frequencies(
         assert orbit.point.requested or S == 3.0
         assert orbit.Omega == pytest.approx(Omega, rel=3e-14)
         assert abs(orbit.Omega - Omega) <= orbit.Omega_error + ROUND_OFF
-
-
-@pytest.mark.parametrize(
-    ("tolerance", "method"),
-    [
-        (1e-4, "trigonometric"),
-        (1e-8, "trigonometric"),
-        pytest.param(1e-4, "gauss", marks=pytest.mark.slow),
-        pytest.param(1e-8, "gauss", marks=pytest.mark.slow),
-    ],
-)
-def test_the_tolerance_holds_at_the_reference_values(tolerance: float, method: str) -> None:
-    branch = followed(Chain(24, 1.0, 0.25, -1.0), 1, 3.0, tolerance, tuple(SOFTENING_END), method)
-    for S, Omega in SOFTENING_END.items():
-        orbit = branch.at(S)
-        assert abs(orbit.Omega - Omega) <= orbit.Omega_error + ROUND_OFF
-        assert orbit.Omega_error <= tolerance * Omega
 
 
 def test_a_long_chain_stays_on_its_family_where_others_lie_close() -> None:
@@ -238,18 +200,6 @@ def test_a_point_asked_for_where_the_walk_goes_anyway_is_there_once_and_marked()
         assert np.count_nonzero(branch.S == S) == 1
 
 
-def test_the_family_begins_near_its_linear_mode() -> None:
-    chain = Chain(6, 1.0, 0.4, -1.0)
-    branch = followed(chain, 2, 1.0, 1e-8)
-    first = branch.orbits[0]
-    assert 0 < first.S < 1e-3
-    assert first.Omega == pytest.approx(chain.linear_frequency(2), abs=1e-3)
-    u = chain.right_eigenvector(2)
-    np.testing.assert_allclose(np.abs(first.profile / np.sqrt(first.S)), np.abs(u) / np.linalg.norm(u), atol=1e-3)
-    assert branch.start.parameter == 0.0
-    assert branch.start.Omega == chain.linear_frequency(2)
-
-
 @pytest.mark.parametrize(("sites", "mode", "g", "S"), [(6, 5, -1.0, 4.0), (5, 5, 1.0, 6.0)])
 def test_the_largest_displacement_is_positive_also_where_it_moves_to_another_site(
     sites: int, mode: int, g: float, S: float
@@ -296,35 +246,6 @@ def test_resolutions_and_points_that_do_not_suffice_end_the_walk_by_name(walker:
     walk = short.continuation((short.start,))
     assert len(list(walk)) >= 3
     assert (walk.end, walk.detail) == (End.POINTS, "3 points")
-
-
-def test_a_walk_broken_off_goes_on_as_if_it_had_not_been() -> None:
-    tools = Family(family_request(Chain(5, 1.0, 0.3, -1.0), 1, 1.5, at=(0.3, 0.9), tolerance=1e-8, corrector="newton"))
-    whole = [o for o in BranchRun(tools) if isinstance(o, Orbit)]
-    for kept in (1, 7, 20):
-        # Broken off after a point walked: one that was asked for is not yet followed by its successor.
-        known = whole[:kept]
-        while known and not known[-1].point.walked:
-            known = known[:-1]
-        if not known:
-            continue
-        again = BranchRun(Family(tools.request), solutions=known)
-        list(again)
-        branch = again.branch()
-        assert branch.complete
-        np.testing.assert_array_equal(branch.S, [o.S for o in whole])
-        np.testing.assert_allclose(branch.Omega, [o.Omega for o in whole], rtol=1e-15)
-
-
-def test_what_was_computed_before_an_interruption_is_kept() -> None:
-    walk = BranchRun(Family(family_request(Chain(3, 1.0, 0.3, 1.0), 2, 1.0, corrector="newton")))
-    for k, _ in enumerate(walk):
-        if k == 4:
-            break
-    branch = walk.branch()
-    assert len(branch) == 5
-    assert branch.end is None
-    assert (branch.complete, branch.reason) == (False, "interrupted")
 
 
 # Folds --------------------------------------------------------------------------------------------------------------

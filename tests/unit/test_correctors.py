@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -26,13 +25,12 @@ from casadi_skin.model.conserved import SymmetryClass
 from casadi_skin.solve import ipopt, watch
 from casadi_skin.solve.bordered import BorderedSolver, DenseFactors
 from casadi_skin.solve.ipopt import STEP_SHRINKAGE, ArbitratedCorrector, IpoptCorrector
-from casadi_skin.solve.newton import Correction, Corrector, NewtonCorrector, Status
+from casadi_skin.solve.newton import Correction, NewtonCorrector, Status
 from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.problem import OrbitProblem, Problem, SingularError
 from casadi_skin.zero.stated_problem import BoundaryProblem, stated
 
 Array = NDArray[np.float64]
-Make = Callable[[Problem], Corrector]
 
 CORRECTORS: list[type[NewtonCorrector] | type[IpoptCorrector]] = [NewtonCorrector, IpoptCorrector]
 KINDS = ["trigonometric", "gauss quarter", "gauss half", "gauss full"]
@@ -175,22 +173,6 @@ def test_newton_with_smaller_residuals_finds_what_ipopt_finds() -> None:
 
 
 @pytest.mark.parametrize("make", CORRECTORS)
-def test_a_row_that_mixes_all_unknowns_is_held(make: Make) -> None:
-    """The arclength condition is one; any other that is not tangent to the family will do."""
-    chain = Chain(5, 1.0, 0.3, 1.0)
-    problem = problem_of(chain)
-    z = NewtonCorrector(problem).correct(mode_of(problem, chain, 3), problem.parameter_row(), 0.5).z
-    row = np.random.default_rng(0).normal(size=problem.size)
-    row[problem.parameter_index] = 10.0
-    value = float(row @ z) + 0.05
-    correction = make(problem).correct(z, row, value)
-    assert correction.converged
-    assert row @ correction.z == pytest.approx(value, abs=1e-12)
-    assert np.abs(problem.evaluate(correction.z)[0]).max() < 1e-11
-    assert correction.z[problem.parameter_index] != z[problem.parameter_index]
-
-
-@pytest.mark.parametrize("make", CORRECTORS)
 @pytest.mark.parametrize("sites", [1, 6])
 def test_what_cannot_be_corrected_is_a_named_failure(make: Any, sites: int) -> None:
     chain = Chain(sites, 1.0, 0.25, -1.0)
@@ -321,18 +303,6 @@ def test_the_band_is_solved_wherever_its_largest_entry_is(sites: int, largest: f
 
 @needs_kernels
 @pytest.mark.usefixtures("only_the_band")
-@pytest.mark.parametrize(("sites", "mode"), [(4, 1), (5, 3), (23, 12), (24, 13), (24, 24), (60, 2)])
-def test_the_band_is_solved_at_the_linear_mode_where_alone_it_is_singular(sites: int, mode: int) -> None:
-    chain = Chain(sites, 1.0, 0.25, 1.0)
-    problem = TrigonometricProblem(chain.gauge_model(), 5)
-    z, row = mode_of(problem, chain, mode), problem.parameter_row()
-    inner = dense(problem, problem.evaluate(z)[1], row)[: problem.states, : problem.states]
-    assert np.linalg.norm(inner @ z[: problem.states]) < 1e-12 * np.linalg.norm(z)  # the mode is its null vector
-    check_solved(problem, z, row)
-
-
-@needs_kernels
-@pytest.mark.usefixtures("only_the_band")
 @pytest.mark.parametrize("attached", [0, 18, 37])
 def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
     """Rows of the site at a tail are those of its harmonics: entries of its neighbours are farther off than others."""
@@ -342,13 +312,6 @@ def test_the_band_is_wider_next_to_a_tail(attached: int) -> None:
     assert problem.half_bandwidth == 11
     z, row = random_state(problem, attached)
     check_solved(problem, z, row, np.random.default_rng(attached).normal(size=problem.pattern[0].size))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("sites", [1, 3, 5])
-def test_every_transcription_is_solved_as_dense_elimination_does(kind: str, sites: int) -> None:
-    problem = problem_of(Chain(sites, 1.0, 0.25, 1.0), kind)
-    check_solved(problem, *random_state(problem, sites))
 
 
 def test_a_band_that_is_given_up_is_solved_by_superlu(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -154,15 +154,6 @@ def test_physical_and_gauge_coordinates_agree(method: str, orbit: Orbit) -> None
 # Symmetries and energy ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_mirror_image_moves_the_other_way(method: str) -> None:
-    (y, v), t = random_start(7), np.linspace(0.0, 15.0, 31)
-    left = evolve(Chain(7, 1.0, -0.3, 1.0), y, v, t, method, 1e-12)
-    right = evolve(Chain(7, 1.0, 0.3, 1.0), y[::-1], v[::-1], t, method, 1e-12)
-    np.testing.assert_allclose(left.displacements, right.displacements[:, ::-1], rtol=0, atol=2e-9)
-    np.testing.assert_allclose(left.energy, right.energy, rtol=1e-10)
-
-
 def test_the_energy_of_a_reciprocal_chain_is_the_mechanical_one() -> None:
     chain, (y, v) = Chain(5, 0.6, 0.0, 1.3), random_start(5)
     found = evolve(chain, y, v, [0.0, 4.0])

@@ -21,7 +21,6 @@ from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_fam
 from casadi_skin.export.codegen import CodegenError, CompilerError, build_c, c_name, c_source
 from casadi_skin.export.exported_model import EXPORTED_PARTS
 from casadi_skin.runs.scene import C_PARTS
-from casadi_skin.stability.flows import srkn_coefficients
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there (CI has it)")
 SOFT = Chain(24, 1.0, 0.25, -1.0)
@@ -113,17 +112,6 @@ def test_flow_of_the_chain_is_symplectic_and_that_of_the_physical_equations(libr
     np.testing.assert_allclose(Phi[20:, 20][:28], column[20:], atol=1e-6)
     J = np.block([[np.zeros((24, 24)), np.eye(24)], [-np.eye(24), np.zeros((24, 24))]])
     np.testing.assert_allclose(Phi.T @ J @ Phi, J, atol=1e-12)
-
-
-def test_the_splitting_in_c_has_the_coefficients_of_python_and_its_order(library: Library) -> None:
-    for name, values in zip(("flow_drifts", "flow_kicks"), srkn_coefficients(), strict=True):
-        np.testing.assert_array_equal(library.doubles(name), values)
-    ends = []
-    for steps in (6, 12, 96):
-        x = np.concatenate([np.sin(np.arange(24.0)), np.zeros(24)])
-        library.call("flow", 0.0, 2.0, steps, x, None, np.array([-1.0]), library.work("FLOW_WORK"))
-        ends.append(x)
-    assert 5.5 < np.log2(np.abs(ends[0] - ends[2]).max() / np.abs(ends[1] - ends[2]).max()) < 7.5
 
 
 def test_multipliers_against_lapack(library: Library) -> None:

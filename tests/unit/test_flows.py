@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from kernels import numpy_alone
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 from variational import integrated
 
@@ -124,18 +123,6 @@ def test_the_splitting_is_symmetric_and_consistent() -> None:
         SplittingFlow(Chain(2, 1.0, 0.3, 1.0).gauge_model().first_order(), 1e-8)
 
 
-@pytest.mark.parametrize("sites", [1, 4])
-def test_constant_coefficients_give_the_matrix_exponential(sites: int) -> None:
-    model = Chain(sites, 1.0, 0.3 if sites > 1 else 0.0, 1.0).gauge_model()
-    n, jacobian = model.size, JacobianAlong(model)
-    K = np.array(ca.DM(model.rhs_and_jacobian()(np.zeros(n), 0.0)[1]))
-    exact = expm(0.9 * np.block([[np.zeros((n, n)), np.eye(n)], [K, np.zeros((n, n))]]))
-    flow = SplittingMap(jacobian, 24)
-    nonzeros = jacobian(np.zeros((flow.fractions.size, n)), np.zeros(flow.fractions.size))
-    (found,) = flow(nonzeros[None], np.array([0.9]))
-    np.testing.assert_allclose(found, exact, rtol=0, atol=2e-12)
-
-
 @pytest.mark.parametrize("moving", [150, 30])
 def test_what_kicks_do_not_reach_is_left_out_of_long_chains(moving: int) -> None:
     """In 3 steps 34 kicks; of sites at rest, all but `moving`, columns with the same sites around them are one."""
@@ -194,21 +181,6 @@ def test_flows_are_within_their_estimates_of_an_independent_integration(
     assert np.linalg.norm(transition.truncation) <= transition.error
 
 
-@pytest.mark.parametrize("tolerance", [1e-8, 1e-10, 1e-12])
-@pytest.mark.parametrize(
-    ("chain", "mode", "S"),
-    # The last have no stiffness at phase zero: g S = -1 with alpha = 1, df/dq = -3 + 3.
-    [*ORBITS, *((Chain(1, 1.0, 0.0, -1.0), 1, S) for S in (0.999, 1.0, 1.001))],
-)
-def test_the_extrapolated_splitting_is_within_its_estimate_of_a_splitting_of_many_steps(
-    chain: Chain, mode: int, S: float, tolerance: float
-) -> None:
-    orbit = followed(chain, mode, S).at(S)
-    transition = transition_of(SplittingFlow, orbit, tolerance)
-    assert transition.error <= tolerance + 1e-12
-    assert np.linalg.norm(transition.matrix - matrix_in(orbit, 256)) <= transition.error + 1e-13
-
-
 # Batches and steps ---------------------------------------------------------------------------------------------------
 
 
@@ -227,18 +199,6 @@ def test_a_batch_is_its_members(kind: type[FlowMap]) -> None:
     np.testing.assert_allclose(better, together[0].matrix, rtol=0, atol=1e-2)
     np.testing.assert_allclose(along, together[1].matrix, rtol=0, atol=1e-2)
     assert np.abs(along - better).max() > 0.05
-
-
-def test_steps_go_up_and_down_with_the_orbits() -> None:
-    branch = followed(Chain(5, 1.0, 0.3, -1.0), 1, 2.5)
-    easy = state(branch.orbits[0])
-    slow = easy.z.copy()
-    slow[easy.problem.Omega_index] *= 0.3  # no orbit, which is not the flow's business
-    flow = SplittingFlow(branch.space.coordinates.scaled, 1e-8)
-    orbits = (easy, replace(easy, z=slow), easy, easy, easy, easy)
-    most = [flow.transitions([orbit], alike=True)[0].steps for orbit in orbits]
-    assert most[1] > most[0]
-    assert most[0] <= most[-1] < most[1]
 
 
 def test_a_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -386,18 +346,6 @@ def test_the_errors_of_the_multipliers_are_honest(number: int, seed: int) -> Non
     assert np.count_nonzero(true <= estimated) >= 0.95 * true.size - 0.5
     assert np.all(true <= 10 * estimated)
     assert np.median(estimated / true) < 30
-
-
-@pytest.mark.parametrize("kind", [SplittingFlow, CvodesFlow])
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
-def test_the_estimated_errors_of_mu_cover_the_true_ones(tolerance: float, kind: type[FlowMap]) -> None:
-    """The flow's part of the error; the orbit is the same."""
-    for case in ORBITS:
-        orbit = followed(*case).at(case[2])
-        exact = orbit.floquet()
-        found = floquet(transition_of(kind, orbit, tolerance), orbit.space.transition(orbit.point)[1])
-        assert np.all(np.abs(found.mu - exact.mu) <= found.mu_error + exact.mu_error + 1e-12)
-        assert found.mu_error.max() <= 100 * max(tolerance, 1e-7)
 
 
 def test_without_a_better_orbit_the_points_own_errors_count() -> None:

@@ -51,26 +51,6 @@ def test_intervals_hold_equal_parts_of_the_density(intervals: int) -> None:
     assert mesh.imbalance(lengths, wanted) == pytest.approx(np.max(lengths * wanted) / np.mean(lengths * wanted))
 
 
-def test_twice_the_number_divides_each_interval_in_halves() -> None:
-    lengths = np.random.default_rng(0).dirichlet(np.ones(6))
-    np.testing.assert_allclose(mesh.resampled(lengths, 12), np.repeat(lengths / 2, 2), rtol=1e-12)
-    np.testing.assert_allclose(mesh.resampled(lengths, 6), lengths, rtol=1e-12)
-    np.testing.assert_allclose(mesh.resampled(mesh.uniform(4), 6), np.full(6, 1 / 6), rtol=1e-12)
-
-
-@pytest.mark.parametrize("degree", [2, 5])
-def test_the_density_is_the_root_of_the_next_derivative(degree: int) -> None:
-    """exp(c x): the derivative of order d + 1 is proportional to exp(c x), its root to exp(c x/(d + 1))."""
-    K, c = 32, 6.0
-    lengths = mesh.uniform(K)
-    wanted = mesh.density(lengths, interpolants(lambda x: np.exp(c * x), lengths, degree)[0], degree)
-    middles = (np.arange(K) + 0.5) / K
-    expected = np.exp(c * middles / (degree + 1))
-    inner = slice(1, -1)  # at the ends the difference is one-sided
-    ratio = (wanted / expected)[inner]
-    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.03)
-
-
 def test_the_density_does_not_depend_on_the_size_of_the_function() -> None:
     lengths = np.random.default_rng(1).dirichlet(5 * np.ones(10))
     leading = interpolants(lambda x: np.tanh(5 * x - 2), lengths, 3)[0]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import linear_sum_assignment
 from scipy.special import ellipk, ellipkm1
-from small_models import duffing, fput, lattice, pendulums
+from small_models import fput, lattice, pendulums
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, find_orbit, follow_family
 from casadi_skin.zero.family import family_request
@@ -155,28 +155,6 @@ def test_fput_by_harmonic_balance_and_by_integration(sites: int, mode: int, S: f
     assert orbit.energy == pytest.approx(np.sum(d**2 / 2 + d**4 / 4), rel=1e-12)
     assert branch.space.coordinates.symplectic
     assert orbit.parameters == {"bond": 1.0}
-
-
-@pytest.mark.parametrize(("sites", "energy"), [(8, 0.5320603626), slow(32, 0.1043149731)])
-def test_the_pi_mode_loses_its_stability_at_the_known_energy(sites: int, energy: float) -> None:
-    """FPUT-beta on a ring, beta = 1: the highest mode is alone, the others are degenerate, and one is a translation."""
-    q, v = ca.SX.sym("q", sites), ca.SX.sym("v", sites)
-    d = ca.vertcat(q[1:], q[0]) - q
-    potential = ca.sumsqr(d) / 2 + ca.sum1(d**4) / 4
-    ring = second_order("ring", q, -ca.gradient(potential, q), velocity=v, hamiltonian=ca.sumsqr(v) / 2 + potential)
-    S = 0.3 if sites == 8 else 0.06
-    branch = follow_family(ring, "last", S, stability=True, tolerance=1e-10, corrector="newton")
-    (change,) = branch.changes
-    assert change.stable_before
-    assert change.kind == "real"
-    # the energy of sites at rest at +-a, whose bonds are 2 a: S = N a^2
-    bounds = [sites * (2 * a**2 + 4 * a**4) for a in np.sqrt((change.S + np.array([-1, 1]) * change.S_error) / sites)]
-    assert bounds[0] - 5e-11 <= energy <= bounds[1] + 5e-11  # its last digit
-    assert change.S_error < 1e-6
-    with pytest.raises(ValueError, match=r"^mode: modes 2, 3 of ring have the same frequency: no family belongs"):
-        follow_family(ring, 2, 1.0)
-    with pytest.raises(ValueError, match=r"^mode: mode 1 of ring does not oscillate: omega\^2 = .*; accepted: a mode"):
-        follow_family(ring, "first", 1.0)
 
 
 def test_a_pendulum_from_a_whisper_to_almost_the_top() -> None:
@@ -622,32 +600,6 @@ def test_an_orbit_is_followed_in_its_amplitude_as_its_family_goes() -> None:
 
 
 # Changes of stability of other orbits ---------------------------------------------------------------------------------
-
-
-def test_a_driven_oscillator_loses_its_stability_at_its_fold() -> None:
-    """A multiplier passes 1 where omega turns back, and DOP853 has it there too."""
-    guess = lambda s: [1.7 * np.sin(1.8 * s), 1.7 * 1.8 * np.cos(1.8 * s)]  # noqa: E731
-    first = find_orbit(duffing(), guess, parameters={"omega": 1.8}, tolerance=1e-9, corrector="newton")
-    options: dict[str, Any] = {"stability": True, "max_step": 0.5, "until": lambda o: not o.floquet().stable}
-    branch = first.follow("omega", 3.0, **options)
-    (change,), (point,) = branch.changes, branch.special_points
-    assert (change.kind, change.stable_before, change.stable_after) == ("real", True, False)
-    assert abs(change.value - point.parameters["omega"]) <= change.error + 10 * point.error + 1e-9
-    assert change.Omega == pytest.approx(change.value, rel=1e-12)
-    orbit = point.solution
-    omega = orbit.parameters["omega"]
-
-    def field(t: float, x: Array) -> Array:
-        J = np.array([[0.0, 1.0], [-1 - 3 * x[0] ** 2, -0.1]])
-        accelerated = -x[0] - x[0] ** 3 - 0.1 * x[1] + 0.5 * np.cos(omega * t)
-        return np.concatenate([[x[1], accelerated], (J @ x[2:].reshape(2, 2)).ravel()])
-
-    start = np.append(orbit.evaluate(0.0), np.eye(2).ravel())
-    end = solve_ivp(field, (0.0, orbit.period), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-    assert np.min(np.abs(np.linalg.eigvals(end[2:].reshape(2, 2)) - 1.0)) < 1e-3
-    plain = first.follow("omega", 3.0, events=False, **options)
-    assert plain.changes == ()
-    np.testing.assert_array_equal(plain.stable, branch.stable)
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from casadi_skin import Chain
 from casadi_skin.model.polynomial import (
     Monomials,
     NotPolynomialError,
@@ -24,19 +23,6 @@ def value(terms: tuple[Monomials, ...], x: NDArray[np.float64], p: float, size: 
     for m in terms:
         np.add.at(total, m.rows, m.coefficients * p**m.power * np.prod(x[m.factors], axis=0))
     return total
-
-
-@pytest.mark.parametrize("sites", [1, 2, 7])
-@pytest.mark.parametrize("gamma", [0.0, -0.4, 0.9])
-def test_the_chain_in_its_gauge(sites: int, gamma: float) -> None:
-    model = Chain(sites, 0.7, gamma, -1.0).gauge_model()
-    x, p = np.random.default_rng(1).normal(size=sites), -0.83
-    for expression, size in ((model.rhs, sites), (model.normalisation, 1)):
-        terms = polynomial_terms(expression, model.state, model.parameters)
-        exact = np.array(ca.Function("f", [model.state, model.parameters], [expression])(x, p)).ravel()
-        assert value(terms, x, p, size) == pytest.approx(exact, rel=1e-14, abs=1e-14)
-    force = polynomial_terms(model.rhs, model.state, model.parameters)
-    assert {(m.power, m.degree) for m in force} == {(0, 1), (1, 3)}
 
 
 def test_every_operation_that_keeps_a_polynomial() -> None:
@@ -66,14 +52,6 @@ def test_what_is_no_polynomial_is_refused(make, words: str) -> None:  # type: ig
     x, p = ca.SX.sym("x", 6), ca.SX.sym("p")
     with pytest.raises(NotPolynomialError, match=words):
         polynomial_terms(make(x, p), x, p)
-
-
-@pytest.mark.parametrize("sites", [500, pytest.param(3000, marks=pytest.mark.slow)])
-def test_a_sum_of_many_terms_takes_time_in_proportion(sites: int) -> None:
-    model = Chain(sites, 1.0, 0.0, 1.0).gauge_model()
-    (constant, squares) = polynomial_terms(model.normalisation, model.state, model.parameters)
-    assert constant.coefficients == pytest.approx([-1.0])
-    assert squares.rows.size == sites
 
 
 # Homogeneous parts ----------------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -17,10 +16,9 @@ from numpy.typing import NDArray
 from orbit_problems import (
     corrector_of,
 )
-from scipy.integrate import solve_ivp
 
 from casadi_skin.follow.family import CVODES_DIGITS, Family
-from casadi_skin.follow.follow import BranchRun, follow_family
+from casadi_skin.follow.follow import follow_family
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.model.conserved import SymmetryClass
@@ -39,26 +37,6 @@ QUARTER, HALF, FULL = SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.F
 # Equations ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_residual_is_what_an_independent_integrator_leaves() -> None:
-    model, segments = Chain(2, 0.8, 0.3, 1.0).gauge_model(), 3
-    problem = ShootingProblem(model, 13, QUARTER, segments)
-    z = np.random.default_rng(2).normal(size=problem.size)
-    z[problem.Omega_index] = 1.3
-    rhs = ca.Function("f", [model.full_state, model.parameters], [model.full_rhs])
-    states = z[: problem.states].reshape(segments + 1, 4)
-    duration = 0.5 * np.pi / segments / 1.3
-    jumps = []
-    for start, end in pairwise(states):
-        path = solve_ivp(
-            lambda _, x: np.array(rhs(x, z[problem.parameter_index])).ravel(), (0, duration), start, "DOP853",
-            rtol=1e-13, atol=1e-14,
-        )  # fmt: skip
-        jumps.append(end - path.y[:, -1])
-    weights = Chain(2, 0.8, 0.3, 1.0).weights
-    conditions = [*states[0, 2:], *states[-1, :2], weights @ states[0, :2] ** 2 - 1]
-    np.testing.assert_allclose(problem.evaluate(z)[0], np.concatenate([*jumps, conditions]), atol=1e-10)
-
-
 def test_the_size_of_the_states_does_not_change_what_digits_mean() -> None:
     """A linear oscillator in other units: the residual scales to round-off, as local tolerances are relative."""
     q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
@@ -68,9 +46,6 @@ def test_the_size_of_the_states_does_not_change_what_digits_mean() -> None:
     scaled = np.concatenate([1e-9 * z[: problem.states], z[problem.states :]])
     expected, found = problem.evaluate(z)[0][:4], problem.evaluate(scaled)[0][:4]
     np.testing.assert_allclose(1e9 * found, expected, rtol=0, atol=1e-13)
-
-
-# Orbits ---------------------------------------------------------------------------------------------------------------
 
 
 # Errors ---------------------------------------------------------------------------------------------------------------
@@ -247,23 +222,6 @@ def test_a_family_is_that_of_odd_cosines_within_its_errors(
             np.testing.assert_allclose(np.sort(a.floquet().mu.real), np.sort(b.floquet().mu.real), atol=1e-6)
     for orbit in found.orbits:
         assert orbit.point.error.relative(orbit.Omega) <= 1e-9
-
-
-@pytest.mark.slow
-def test_two_folds_are_passed_as_odd_cosines_pass_them() -> None:
-    folds = []
-    for name in ("shooting", "trigonometric"):
-        options: dict[str, Any] = {"tolerance": 1e-6, "transcription": name, "corrector": "newton"}
-        S, turns = list[float](), np.zeros(0, dtype=int)
-        for orbit in BranchRun(Family(family_request(Chain(4, 1.0, 0.2, -1.0), 1, 8.0, **options))):
-            S.append(orbit.S)  # type: ignore[union-attr]
-            turns = np.flatnonzero(np.diff(np.sign(np.diff(S))) != 0)
-            if turns.size == 2:
-                break
-        folds.append([S[i + 1] for i in turns])
-    assert len(folds[0]) == 2
-    np.testing.assert_allclose(folds[0], folds[1], atol=2e-3)  # the points next to a fold are not the fold
-    assert folds[0][0] > 3.9 > 2.3 > folds[0][1]
 
 
 def test_a_tolerance_out_of_reach_ends_the_family_by_name() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -15,9 +14,9 @@ from variational import integrated
 
 from casadi_skin import Branch, Chain, OdeModel, Orbit, SymmetryClass, follow_family
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.stability.flows import CvodesFlow, SplittingFlow
+from casadi_skin.stability.flows import SplittingFlow
 from casadi_skin.stability.multipliers import floquet
-from casadi_skin.stability.result import reversible_floquet, root_of
+from casadi_skin.stability.result import reversible_floquet
 from casadi_skin.zero.cosines import TrigonometricProblem
 
 Array = NDArray[np.float64]
@@ -69,36 +68,6 @@ def without_trivial_pair(multipliers: ComplexArray) -> ComplexArray:
 
 
 # Reversible orbits ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("chain", "mode", "S"), [(Chain(3, 1.0, 0.3, -1.0), 1, 1.5), (Chain(6, 1.0, -0.3, 1.0), 6, 2.0)]
-)
-def test_splitting_and_cvodes_agree(chain: Chain, mode: int, S: float) -> None:
-    other = followed(chain, mode, S, 1e-9, flow="cvodes")
-    assert isinstance(other.space.flow, CvodesFlow)
-    split_, swum = followed(chain, mode, S, 1e-9).at(S).floquet(), other.at(S).floquet()
-    assert np.all(np.abs(split_.mu - swum.mu) <= split_.mu_error + swum.mu_error + 1e-9)
-    assert split_.stable == swum.stable
-    assert split_.max_abs_multiplier == pytest.approx(swum.max_abs_multiplier, abs=1e-6)
-
-
-@pytest.mark.parametrize("sites", [2, 4])
-def test_half_a_period_gives_the_multipliers_of_a_quarter(sites: int) -> None:
-    """The same chain with its half-period symmetry not declared, by both flow maps."""
-    chain, S = Chain(sites, 1.0, 0.3, -1.0), 1.5
-    orbit = followed(chain, 1, S, 1e-12).at(S)
-    model = replace(orbit.space.coordinates.scaled, half_period=None)
-    for flow in (SplittingFlow(model, 1e-10), CvodesFlow(model, 1e-10)):
-        transition = flow.transition(orbit.point.problem, orbit.point.z)
-        assert transition.fraction == 0.5
-        half = floquet(transition, orbit.space.transition(orbit.point)[1])
-        assert half.power == 1
-        assert half.trivial_deviation < 1e-8
-        assert half.stable == orbit.floquet().stable
-        assert half.max_abs_multiplier == pytest.approx(orbit.floquet().max_abs_multiplier, abs=1e-7)
-        assert set_distance(half.multipliers, orbit.floquet().multipliers) < 2e-4  # stable pairs near 1 by their root
-        assert set_distance(half.multipliers.real + 0j, orbit.floquet().multipliers.real + 0j) < 1e-7
 
 
 def test_a_reversible_orbit_that_is_not_odd_has_the_multipliers_of_its_monodromy_matrix() -> None:
@@ -253,21 +222,6 @@ def test_in_the_limit_of_no_amplitude_all_multipliers_are_linear_phases() -> Non
 
 
 # Classification -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("power", [1, 2])
-def test_multipliers_follow_from_mu_by_the_quadratic_they_satisfy(power: int) -> None:
-    mu = np.array([-1.0, -0.999, -0.3, 0.0, 0.2, -1.4, -0.5 + 0.1j, -0.5 - 0.1j])
-    result = reversible_floquet(mu.astype(complex), np.full(8, 1e-12), 0.0, power)
-    half = root_of(result.mu, result.mu_error)[0] ** 2
-    np.testing.assert_allclose(half + 1 / half, 2 + 4 * mu, atol=1e-14)
-    pairs = result.multipliers[2:].reshape(-1, 2)
-    np.testing.assert_allclose(pairs[:, 0], half**power, rtol=1e-14)
-    np.testing.assert_allclose(pairs.prod(axis=1), 1.0, atol=1e-14)
-    assert np.all(np.abs(pairs[:, 0]) >= np.abs(pairs[:, 1]) - 1e-15)
-    assert (result.unstable_real, result.unstable_complex) == (2, 2)
-    assert not result.stable
-    assert result.max_abs_multiplier == pytest.approx(np.abs(pairs).max(), rel=1e-14)
 
 
 def test_a_mu_outside_by_less_than_its_error_is_not_called_unstable() -> None:

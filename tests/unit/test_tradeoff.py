@@ -4,38 +4,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import isnan, nan
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from outputs import read_rows
 
 from casadi_skin import Chain
 from casadi_skin.follow.family import Family
 from casadi_skin.runs import tradeoff
 from casadi_skin.runs.tradeoff import (
     FLOW,
-    MEASURED_TOLERANCES,
     ORBITS,
     PRESET,
-    QUICK_TOLERANCES,
     Reference,
     Setting,
-    WorkPrecision,
     advice,
     followed,
     front_of,
     largest,
     measure,
-    memory_of,
     multipliers_of,
     of_kind,
     paired,
-    peak_memory,
     recommendations,
-    settings_of,
-    timed,
     work_precision_figure,
 )
 from casadi_skin.zero.family import family_request
@@ -148,43 +139,6 @@ def test_a_page_says_what_is_not_as_it_should_be(more: list[Setting], words: str
     assert "Shooting is left out: 24 positions move" in recommendations(LONG, more, KNOWN, 45.0, 5)
 
 
-def test_settings_are_every_method_at_every_tolerance() -> None:
-    methods = [s.method for s in of_kind(settings_of(FAMILY, (1e-4,)), ORBITS)]
-    assert len(methods) == len(set(methods)) == 10
-    assert "shooting, arclength, newton" in methods
-    longer = of_kind(settings_of(LONG, MEASURED_TOLERANCES), ORBITS)
-    assert len(longer) == 8 * len(MEASURED_TOLERANCES)
-    assert not any("shooting" in s.method for s in longer)
-    quick = settings_of(FAMILY, QUICK_TOLERANCES)
-    assert len({s.method for s in of_kind(quick, FLOW)}) > 1
-    presets = of_kind(quick, PRESET)
-    assert [(s.method, s.tolerance) for s in presets] == [("draft", 1e-4), ("standard", 1e-8), ("reference", 1e-12)]
-    assert {(s.transcription, s.walker, s.corrector) for s in presets} == {("trigonometric", "series", "ipopt")}
-    lonely = family_request(Chain(1, 1.0, 0.0, -1.0), 1, 0.4, at=(0.2,))
-    assert not of_kind(settings_of(lonely, (1e-4,)), FLOW)
-
-
-def test_rows_are_cells_of_a_table(tmp_path: Path) -> None:
-    WorkPrecision(tmp_path, FAMILY).write_rows("rows", [*made(), FAILED])
-    rows = read_rows(tmp_path / "rows.csv")
-    assert [row["kind"] for row in rows] == ["preset", *["orbits"] * 5, *["flow"] * 4, "orbits"]
-    assert rows[0]["method"] == "standard"
-    assert float(rows[1]["seconds_min"]) < float(rows[1]["seconds"]) == 0.010 < float(rows[1]["seconds_max"])
-    assert rows[6]["transcription"] == rows[6]["Omega_error"] == rows[1]["flow"] == ""
-    assert rows[-1]["failure"] == FAILED.failure
-    assert rows[-1]["seconds"] == rows[-1]["memory_MB"] == ""
-
-
-def test_times_of_repeated_runs() -> None:
-    calls: list[int] = []
-    result, times = timed(lambda: calls.append(sum(range(10_000))) or len(calls), 3)
-    assert result == len(calls) > 3  # a run this short is many, timed together
-    assert 0 < times["seconds_min"] <= times["seconds"] <= times["seconds_max"]
-    assert times["building_seconds"] >= 0
-    assert 0 < times["processor_share"] < 1.5
-    assert timed(int, 0) == (0, {})
-
-
 @pytest.fixture(scope="module")
 def reference() -> Reference:
     return Reference(FAMILY)
@@ -221,14 +175,6 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
     assert failed.failure
     assert "\n" not in failed.failure
     assert isnan(failed.seconds)
-
-
-@pytest.mark.slow
-def test_memory_is_that_of_another_process() -> None:
-    held = np.ones(30_000_000)
-    assert held.nbytes / 1e6 < peak_memory()
-    started, followed = memory_of(None), memory_of(FAMILY)
-    assert 10 < started <= followed < peak_memory()
 
 
 def test_the_picture_shows_methods_presets_and_fronts() -> None:

@@ -67,11 +67,6 @@ def test_tables_agree_with_forty_digits(degree: int) -> None:
         check_table(radau, [*nodes, mp.mpf(1)], [*nodes, mp.mpf(1)])
 
 
-def test_the_known_radau_method_of_two_stages() -> None:
-    np.testing.assert_allclose(radau_table(2).extended, [[5 / 12, -1 / 12], [3 / 4, 1 / 4]], rtol=1e-15)
-    np.testing.assert_allclose(radau_table(2).nodes, [1 / 3, 1.0], rtol=1e-15)
-
-
 # Equations ------------------------------------------------------------------------------------------------------------
 
 
@@ -227,16 +222,6 @@ def test_a_conservative_model_of_first_order_without_reversal_is_solved_on_the_f
     )  # fmt: skip
     states = problem.sample(z, z[problem.Omega_index] * path.t)
     np.testing.assert_allclose(states, path.y.T, atol=1e-6)
-
-
-@pytest.mark.parametrize(("sites", "mode"), [(1, 1), (2, 2), (5, 1), (5, 4), (24, 24)])
-def test_the_linear_mode_solves_the_equations_in_odd_cosines_without_nonlinearity(sites: int, mode: int) -> None:
-    chain = Chain(sites, 1.0, 0.25, -1.0)
-    problem = TrigonometricProblem(chain.gauge_model(), 5)
-    z = solved(problem, chain, mode, 0.0, steps=1)
-    assert np.abs(problem.evaluate(z)[0]).max() <= 1e-13 * np.abs(z).max()
-    assert z[problem.Omega_index] == pytest.approx(chain.linear_frequency(mode), rel=1e-14)
-    assert problem.relative_residual(z) <= 1e-14
 
 
 # Samples and other resolutions ----------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from orbit_problems import dense_jacobian
 
 from casadi_skin.follow.family import Family
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.operations import read
 from casadi_skin.zero.cosines import TrigonometricProblem
 from casadi_skin.zero.family import family_request
 
@@ -33,17 +32,6 @@ def test_chains_that_differ_in_numbers_share_what_is_built_and_keep_their_own() 
         np.testing.assert_allclose(dense_jacobian(problem, z), np.array(ca.DM(own_jacobian)), rtol=0, atol=1e-12)
 
 
-def test_chains_too_long_to_be_compared_are_built_of_their_own_expressions() -> None:
-    one, other = (TrigonometricProblem(Chain(900, 1.0, gamma, -1.0).gauge_model(), 2) for gamma in (0.3, 0.1))
-    assert one.shared is not other.shared
-    z = np.random.default_rng(6).normal(size=one.size)
-    z[one.Omega_index] = 1.3
-    for problem in (one, other):
-        residual, _ = problem.function(z, problem.constants)
-        np.testing.assert_allclose(problem.evaluate(z)[0], np.array(residual).ravel(), rtol=0, atol=1e-12)
-    assert not np.allclose(one.evaluate(z)[0], other.evaluate(z)[0])
-
-
 def test_families_followed_by_turns_are_those_followed_one_by_one() -> None:
     """What they share keeps nothing of either."""
 
@@ -56,23 +44,3 @@ def test_families_followed_by_turns_are_those_followed_one_by_one() -> None:
     turns = [[next(walk) for walk in both] for _ in range(min(map(len, alone)))]
     for k in range(2):
         assert [turn[k] for turn in turns] == alone[k][: len(turns)]
-
-
-def results(x: ca.SX, y: ca.SX, c: list[float]) -> list[ca.SX]:
-    return [ca.vertcat(c[0] * ca.sin(x[0]) + y / c[1], ca.fmin(x[1], c[2]) ** 2), c[3] * x[0] * x[1] - 0.25]
-
-
-def test_programs_are_equal_where_numbers_alone_differ_and_give_what_they_were_made_of() -> None:
-    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
-    cases = [0.3, 1.2, 1.1, 2.5], [7.1, -0.2, 3.3, 9.0], [5.0, 5.0, 5.0, 5.0], [1.0, 1.2, 1.1, 2.5]
-    programs = []
-    for numbers in cases:
-        exact = ca.Function("exact", [x, y], results(x, y, numbers))
-        program, values = read(exact)
-        c = ca.SX.sym("c", len(values))
-        symbolic = ca.Function("symbolic", [x, y, c], program.expressions([x, y], c))
-        for one, other in zip(symbolic([0.3, 1.2], -0.7, values), exact([0.3, 1.2], -0.7), strict=True):
-            np.testing.assert_allclose(np.array(one), np.array(other), rtol=1e-14)
-        programs.append(program)
-    assert programs[0] == programs[1]
-    assert programs[0] != programs[3]  # of a product with 1 no operation is left
