@@ -29,7 +29,9 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.equations import Array, Equations
 
-CANCELLED_RTOL = 1e-10  # of the terms of a sum: what is left of them is zero
+STATE_SIZES = 10.0 ** np.linspace(0.0, -2.0, 9)  # at which entries of M and df/dx are compared
+NEAR_RATIO = 10.0  # of entries and what is usual: as near as at the best place, so the largest of such states is taken
+CANCELLED_RTOL = 1e-12  # of the terms of a sum: what is left of them is zero
 ROUNDED_RTOL = 1e-13  # of the largest entry of a row, by usual sizes of columns: one that is zero but for rounding
 NEWTON_STEPS, CONSISTENT_RTOL = 30, 1e-12  # of a state that meets conditions, and its last step, of the state's size
 STILL_RTOL = 1e-6  # of the largest eigenvalue: one that is no rate
@@ -40,7 +42,7 @@ class Rows:
     """Equations E x' = b, with the values of E at a place in general position; all others of its entries vanish.
 
     An entry is `plain` that is a number, or an expression in parameters: it may be divided by. `columns` are usual
-    sizes of entries in each column, which the units of states decide.
+    sizes of entries in each column, which the units of states decide, and `rate` is one of the equations in 1/time.
     """
 
     model: Equations
@@ -51,17 +53,14 @@ class Rows:
     plain: NDArray[np.bool_]
     replaced: NDArray[np.bool_]
     columns: Array
+    rate: float
 
     @classmethod
     def of(cls, model: Equations, mass: ca.SX, right: ca.SX) -> Rows:
         """M x' = f."""
-        n, place = mass.shape[0], _place(model, right)
-        both = model.function("both", *map(ca.densify, (mass, ca.jacobian(right, model.state)))).call(list(place))
-        known = np.abs(np.vstack([np.array(part) for part in both]))
-        columns = np.max(known / np.maximum(np.max(known, axis=1, keepdims=True), 1e-300), axis=0)
+        n, (place, columns, rate) = mass.shape[0], _place(model, mass, right)
         values, plain, replaced = np.zeros((n, n)), np.zeros((n, n), dtype=bool), np.zeros(n, dtype=bool)
-        columns = np.where(columns > 0.0, columns, 1.0)
-        rows = cls(model, place, [{} for _ in range(n)], right.elements(), values, plain, replaced, columns)
+        rows = cls(model, place, [{} for _ in range(n)], right.elements(), values, plain, replaced, columns, rate)
         for i in range(n):
             rows.put(i, mass[i, :], rows.right[i])
         return rows
@@ -82,7 +81,7 @@ class Rows:
         A row is multiplied by a pivot that moves, as it may vanish elsewhere. Values alone, unless it is `written`.
         """
         copies = [dict(row) for row in self.entries], [*self.right], self.values.copy(), self.plain.copy()
-        found = Rows(self.model, self.place, *copies, self.replaced, self.columns)
+        found = Rows(self.model, self.place, *copies, self.replaced, self.columns, self.rate)
         sizes, pivots, left = np.abs(self.values), list[tuple[int, int]](), list(range(len(self.right)))
         while True:
             values = np.abs(found.values[left]) / self.columns
@@ -129,16 +128,28 @@ class Rows:
         return ca.cse(ca.densify(ca.vertcat(*(rates[j] for j in range(n)))))
 
 
-def _place(model: Equations, right: ca.SX) -> tuple[float, Array, Array]:
-    """A time, state and parameters in general position at which the derivatives of f are finite."""
-    slopes = model.function("slopes", ca.jacobian(right, model.state), right)
-    generator = np.random.default_rng(0)
-    time, x, p = (generator.uniform(0.5, 1.5, size=n) for n in (1, model.size, model.parameters.numel()))
-    for size in (1.0, 0.1, 0.01):  # exponentials of a diode's voltage overflow
-        place = float(time[0]), size * x, p
-        if all(np.all(np.isfinite(np.array(part.nonzeros()))) for part in slopes.call(list(place))):
-            return place
-    raise ValueError(f"{model.name}: rhs: given derivatives that are not finite at states near 1 or near 0")
+def _place(model: Equations, mass: ca.SX, right: ca.SX) -> tuple[tuple[float, Array, Array], Array, float]:
+    """A time, state and parameters in general position, usual sizes c of entries in columns there, and a rate k.
+
+    |M_ij| ~ r_i c_j and |df_i/dx_j| ~ k r_i c_j, by least squares of logarithms (Curtis and Reid 1972). At the place
+    entries are near that: at others exponentials, as of a diode's voltage, hide other terms, are hidden, or overflow.
+    """
+    n, generator = model.size, np.random.default_rng(0)
+    time, x, p = (generator.uniform(0.5, 1.5, size=count) for count in (1, n, model.parameters.numel()))
+    function = model.function("both", *map(ca.densify, (mass, ca.jacobian(right, model.state), right)))
+    places = [(float(time[0]), size * x, p) for size in STATE_SIZES]
+    parts = [[np.abs(np.array(part)) for part in function.call(list(place))] for place in places]
+    finite = [k for k, values in enumerate(parts) if all(np.all(np.isfinite(value)) for value in values)]
+    if not finite:
+        raise ValueError(f"{model.name}: rhs: given derivatives that are not finite at states near 1 or near 0")
+    entries = np.array([parts[k][:2] for k in finite])
+    kind, i, j = np.nonzero(np.all(entries > 0.0, axis=0))
+    logs = np.log(entries[:, kind, i, j]).T
+    design = np.hstack([np.eye(n)[i], np.eye(n)[j], kind[:, None]])
+    fitted = np.linalg.lstsq(design.T @ design, design.T @ logs, rcond=1e-10)[0]
+    off = np.max(np.abs(logs - design @ fitted), axis=0, initial=0.0)
+    best = int(np.argmax(off <= np.min(off) + np.log(NEAR_RATIO)))
+    return places[finite[best]], np.exp(fitted[n : 2 * n, best]), float(np.exp(fitted[-1, best]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +175,10 @@ class Implicit:
     rhs: ca.SX
 
     @classmethod
-    def of(cls, model: Equations, mass: ca.SX, decay: float) -> Implicit:
+    def of(cls, model: Equations, mass: ca.SX) -> Implicit:
         """From a model whose right-hand side is f; raises ValueError, naming an entry, where x' is not determined."""
         rows, n, conditions, rates = Rows.of(model, mass, model.rhs), model.size, list[ca.SX](), list[float]()
-        latest = dict[int, ca.SX]()
+        latest, decay = dict[int, ca.SX](), model.decay or rows.rate
         if not np.any(rows.values):
             raise ValueError(f"{model.name}: mass: given one without entries; accepted: one of rank 1 or more")
         while rows.eliminated(plain=False, written=False)[1]:

@@ -59,7 +59,7 @@ class OdeModel(Equations, WithVerbs):
             object.__setattr__(self, label, value)
         check_declarations(self)
         if self.mass is not None:
-            implicit = Implicit.of(self, self.mass, self.decay or 1.0)
+            implicit = Implicit.of(self, self.mass)
             object.__setattr__(self, "implicit", implicit)
             object.__setattr__(self, "rhs", implicit.rhs)
         if self.checked:

@@ -160,23 +160,46 @@ def test_circuit_in_SI_units() -> None:
     assert [point.kind for point in cycle.special_points] == ["period doubling"]
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_linear_equations_of_any_index_in_any_units(seed: int) -> None:
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.parametrize("seed", range(16))
+def test_linear_equations_of_any_index_in_any_units(seed: int, sparse: bool) -> None:
     """P diag(1, N) Q x' = P diag(J, 1) Q (x - x0) with nilpotent N (Weierstrass): the eigenvalues are those of J."""
     generator = np.random.default_rng(seed)
     free, blocks = int(generator.integers(1, 5)), generator.integers(1, 4, size=int(generator.integers(1, 4)))
     nilpotent = block_diag(*(np.eye(size, k=1) for size in blocks))
     J, n = generator.normal(size=(free, free)), free + len(nilpotent)
     P, Q = generator.normal(size=(2, n, n))
-    units = 10.0 ** generator.integers(-6, 7, size=n)
+    if sparse:
+        P, Q = (np.eye(n)[generator.permutation(n)] + (generator.random((n, n)) < 0.1) * each for each in (P, Q))
+    units, rows = 10.0 ** generator.integers(-6, 7, size=(2, n))
+    time = 10.0 ** float(generator.integers(-6, 7))
     x = ca.SX.sym("x", n)
-    rhs = ca.DM(P @ block_diag(J, np.eye(len(nilpotent))) @ Q / units) @ (x - ca.DM(units))
-    model = OdeModel("linear", x, rhs, mass=P @ block_diag(np.eye(free), nilpotent) @ Q / units)
+    rhs = ca.DM(rows[:, None] * (P @ block_diag(J, np.eye(len(nilpotent))) @ Q) / units) @ (x - ca.DM(units))
+    mass = time * rows[:, None] * (P @ block_diag(np.eye(free), nilpotent) @ Q) / units
+    model = OdeModel("linear", x, rhs, mass=mass)
     assert model.implicit is not None
     assert len(model.implicit.conditions) == n - free
     found = find_equilibrium(model, 1.1 * units)
     assert found.state == pytest.approx(units, rel=1e-9)
-    assert np.sort_complex(found.eigenvalues) == pytest.approx(np.sort_complex(np.linalg.eigvals(J)), abs=1e-7)
+    expected = np.sort_complex(np.linalg.eigvals(J))
+    assert time * np.sort_complex(found.eigenvalues) == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("others", range(6))
+def test_exponentials_hide_nothing(others: int) -> None:
+    """A diode in V, A and s beside other capacitors: its current at the states at which entries are compared."""
+    v, charged, supply = symbols("v charged supply")
+    beside = [ca.SX.sym(f"w{k}") for k in range(others)]
+    R, C, saturation, thermal = 1e3, 1e-9, 1e-14, 0.02585
+    rhs = [
+        *((supply - w) / R for w in beside),
+        (supply - v) / R - saturation * (ca.exp(v / thermal) - 1.0) - (v - charged) / R,
+        (v - charged) / R,
+    ]
+    model = OdeModel("diode", [*beside, v, charged], rhs, supply, mass=np.diag([*[C] * others, 0.0, C]), nominal=[2.0])
+    found = find_equilibrium(model, [1.0] * others + [0.6, 0.6])
+    slope = saturation / thermal * np.exp(found.state[-1] / thermal)
+    assert R * C * found.eigenvalues[0].real == pytest.approx(1.0 / (2.0 + R * slope) - 1.0, rel=1e-11)
 
 
 def test_colpitts_oscillator_against_its_ode() -> None:
