@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from casadi_skin.model.equations import Array, Equations
 
-STATE_SIZES = 10.0 ** np.linspace(0.0, -2.0, 9)  # at which entries of M and df/dx are compared
-NEAR_RATIO = 10.0  # of entries and what is usual: as near as at the best place, so the largest of such states is taken
+PASSES = 3  # of scaling
+STATE_SIZES = 10.0 ** np.array(sorted(np.linspace(-4.0, 4.0, 25), key=abs))  # where entries of M and df/dx are compared
+NEAR_RATIO = 3.0  # of entries and what is usual: as near as at the best place, and the first of such places is taken
 CANCELLED_RTOL = 1e-12  # of the terms of a sum: what is left of them is zero
 ROUNDED_RTOL = 1e-13  # of the largest entry of a row, by usual sizes of columns: one that is zero but for rounding
 NEWTON_STEPS, CONSISTENT_RTOL = 30, 1e-12  # of a state that meets conditions, and its last step, of the state's size
@@ -136,20 +137,27 @@ def _place(model: Equations, mass: ca.SX, right: ca.SX) -> tuple[tuple[float, Ar
     """
     n, generator = model.size, np.random.default_rng(0)
     time, x, p = (generator.uniform(0.5, 1.5, size=count) for count in (1, n, model.parameters.numel()))
-    function = model.function("both", *map(ca.densify, (mass, ca.jacobian(right, model.state), right)))
-    places = [(float(time[0]), size * x, p) for size in STATE_SIZES]
-    parts = [[np.abs(np.array(part)) for part in function.call(list(place))] for place in places]
-    finite = [k for k, values in enumerate(parts) if all(np.all(np.isfinite(value)) for value in values)]
-    if not finite:
-        raise ValueError(f"{model.name}: rhs: given derivatives that are not finite at states near 1 or near 0")
-    entries = np.array([parts[k][:2] for k in finite])
-    kind, i, j = np.nonzero(np.all(entries > 0.0, axis=0))
-    logs = np.log(entries[:, kind, i, j]).T
-    design = np.hstack([np.eye(n)[i], np.eye(n)[j], kind[:, None]])
-    fitted = np.linalg.lstsq(design.T @ design, design.T @ logs, rcond=1e-10)[0]
-    off = np.max(np.abs(logs - design @ fitted), axis=0, initial=0.0)
-    best = int(np.argmax(off <= np.min(off) + np.log(NEAR_RATIO)))
-    return places[finite[best]], np.exp(fitted[n : 2 * n, best]), float(np.exp(fitted[-1, best]))
+    p *= 1.0 if model.nominal is None else np.where(model.nominal, model.nominal, 1.0)
+    matrices = ca.sparsify(mass), ca.jacobian(right, model.state)
+    function = model.function("entries", ca.vertcat(*(each.nz[:] for each in matrices), ca.densify(right)))
+    i, j = np.hstack([each.sparsity().get_triplet() for each in matrices]).astype(int)
+    kind = np.repeat([0, 1], [each.nnz() for each in matrices])
+    for _ in range(PASSES):  # the units of states that one finds are those of the next one's states
+        places = [(float(time[0]), size * x, p) for size in STATE_SIZES]
+        entries = np.abs([np.array(function(*place)).ravel() for place in places])
+        finite = np.flatnonzero(np.all(np.isfinite(entries), axis=1))
+        if not finite.size:
+            raise ValueError(f"{model.name}: rhs: given derivatives that are not finite at states near 1 or near 0")
+        known = np.flatnonzero(np.all(entries[finite, : kind.size] > 0.0, axis=0))
+        logs = np.log(entries[np.ix_(finite, known)]).T
+        design = np.hstack([np.eye(n)[i[known]], np.eye(n)[j[known]], kind[known, None]])
+        least = np.diag(np.repeat([1e-10, 1e-6, 1e-10], [n, n, 1]))  # columns are 1 where rows can be their sizes
+        fitted = np.linalg.solve(design.T @ design + least, design.T @ logs)
+        off = np.max(np.abs(logs - design @ fitted), axis=0, initial=0.0)
+        best = int(np.argmax(off <= np.min(off) + np.log(NEAR_RATIO)))
+        columns, rate = np.exp(fitted[n : 2 * n, best]), float(np.exp(fitted[-1, best]))
+        x = generator.uniform(0.5, 1.5, size=n) / columns
+    return places[finite[best]], columns, rate
 
 
 @dataclass(frozen=True, eq=False)

@@ -202,6 +202,32 @@ def test_exponentials_hide_nothing(others: int) -> None:
     assert R * C * found.eigenvalues[0].real == pytest.approx(1.0 / (2.0 + R * slope) - 1.0, rel=1e-11)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_cycle_is_hidden_in_equations_of_any_index_and_units(seed: int) -> None:
+    """P (diag(1, N) y)' = P (F, z - h(w)) with y = (w, z) = Q x, w of van der Pol's equation: a Hopf point at 0."""
+    generator = np.random.default_rng(seed)
+    nilpotent = block_diag(*(np.eye(size, k=1) for size in ([2, 1], [3])[seed % 2]))
+    P, Q = (np.linalg.qr(each)[0] for each in generator.normal(size=(2, 5, 5)))
+    units, rows = 10.0 ** generator.integers(-6, 7, size=(2, 5))
+    time, parameter = 10.0 ** generator.integers(-6, 7, size=2).astype(float)
+    x, p = ca.SX.sym("x", 5), ca.SX.sym("p")
+    y = ca.DM(Q) @ (x / units)
+    a, b, *z = y.elements()
+    h = [generator.normal() * a + generator.normal() * b + 0.1 * generator.normal() * a * b for _ in z]
+    f = ca.vertcat(
+        b, p / parameter * b - (a**2 + 0.1 * a) * b - a, *(one - other for one, other in zip(z, h, strict=True))
+    )
+    mass = time * rows[:, None] * (P @ block_diag(np.eye(2), nilpotent) @ Q) / units
+    model = OdeModel("hidden", x, ca.DM(rows[:, None] * P) @ f, p, mass=mass, nominal=[parameter])
+    assert model.implicit is not None
+    assert len(model.implicit.conditions) == 3
+    start = find_equilibrium(model, 1e-3 * units, parameters={"p": -0.5 * parameter})
+    (hopf,) = start.follow("p", parameter).special_points
+    assert hopf.kind == "hopf"
+    assert abs(hopf.parameters["p"]) <= min(1e-7 * parameter, hopf.error)
+    assert time * hopf.frequency == pytest.approx(1.0, rel=1e-7)
+
+
 def test_colpitts_oscillator_against_its_ode() -> None:
     nodes, plain = colpitts()
     R = np.sqrt(2.0) / 1.4
