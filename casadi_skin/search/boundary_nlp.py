@@ -22,7 +22,7 @@ from casadi_skin.follow.space import BoundaryError
 from casadi_skin.model.pickled import programs_in
 from casadi_skin.model.result import in_turn
 from casadi_skin.search.conditions import Condition
-from casadi_skin.search.nlp import FLAT_CURVATURE, Nlp, Optimality, Solution, optimality
+from casadi_skin.search.nlp import Nlp, Optimality, Solution, optimality
 from casadi_skin.solve.ipopt import SOLVED_STATUS, nlp_reason
 from casadi_skin.solve.levels import ERROR_SAFETY
 from casadi_skin.zero.orbit import Guess
@@ -188,7 +188,7 @@ def refined(nlp: BoundaryNlp, solution: Solution, flat: bool = False) -> Refined
         error = ErrorEstimate(ERROR_SAFETY * scalars, ERROR_SAFETY * profile)
         conditions, moved_by = optimality(finer, better), ERROR_SAFETY * abs(better.objective - solution.objective)
         enough = above.resolution >= ENOUGH_INTERVALS and any(w.split()[0] in states for w in conditions.active)
-        if enough or (flat and conditions.curvature < FLAT_CURVATURE) or error.relative(1.0) <= tolerance:
+        if enough or (flat and conditions.flat) or error.relative(1.0) <= tolerance:
             return Refined(finer, better, conditions, error, moved_by)
         errors.append(error.relative(1.0))
         if len(errors) > MOST_FAILED_HALVINGS and errors[-1] > 0.5 * errors[-1 - MOST_FAILED_HALVINGS]:

@@ -126,14 +126,16 @@ def sampled_starts(
 ) -> list[tuple[float, ...]]:
     """Free numbers of starts: the own values first, then a Halton sequence (Halton 1960; Owen 2017) in the limits.
 
-    Where a limit is missing the range is from half to twice the own value. All are moved within their ranges, which end
-    a little inside of the limits. Raises ValueError and TypeError for a count or a seed that is none.
+    Where a limit is missing the range is from half to twice the own value; of a 0 as wide as the other limit is large,
+    and without limits, where nothing says what is small, all starts have the 0. All are moved within their ranges,
+    which end a little inside of the limits. Raises ValueError and TypeError for a count or a seed that is none.
     """
     whole("starts", count, 1)
     whole("seed", seed, 0)
     ranges = []
     for value, (low, high) in zip(values, limits, strict=True):
-        span = sorted((0.5 * value, 2.0 * value)) if value != 0 else [-1.0, 1.0]
+        size = max((abs(end) for end in (low, high) if np.isfinite(end)), default=0.0)
+        span = sorted((0.5 * value, 2.0 * value)) if value else [-size, size]
         width = span[1] - span[0]
         least = low if np.isfinite(low) and np.isfinite(high) else max(low, min(span[0], high - width))
         most = high if np.isfinite(high) else max(span[1], least + width)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
@@ -135,6 +135,17 @@ class Nlp:
         """Scale of each unknown, shape (size,)."""
         return np.ones(self.size)
 
+    def gradient_size(self, x: Array) -> float:
+        """The largest derivative of the objective over the sizes of unknowns, and what it changes by over these; or 1.
+
+        An objective that is least where its gradient vanishes has a size by the latter.
+        """
+        sizes, moves, gradient = self.sizes(x), self.lower < self.upper, self.gradient(x)
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], self.size) * moves
+        changes = (self.gradient(x + PART_OF_SIZES * signs * sizes) - gradient) / PART_OF_SIZES
+        found = np.abs(np.concatenate([gradient, changes]) * np.tile(sizes * moves, 2))
+        return float(np.max(found, where=np.isfinite(found), initial=0.0)) or 1.0
+
     def shown(self, f: float) -> float:
         """The objective as it is reported, from that of Ipopt."""
         return self.sign * f
@@ -159,7 +170,9 @@ class Nlp:
         Raises KeyboardInterrupt after an interruption that nobody else listens for, and what the monitor raised.
         """
         if warm not in self._solvers:
-            self._solvers[warm] = self._built(WARM_START if warm else {})
+            size = self.gradient_size(np.clip(x, self.lower, self.upper))
+            unit = 1.0 if 1.0 / NEAR_ONE < size < NEAR_ONE else size  # Ipopt's tolerance is of objectives near 1
+            self._solvers[warm] = self._built({"ipopt.obj_scaling_factor": 1.0 / unit, **(WARM_START if warm else {})})
         solver, callback = self._solvers[warm]
         with interrupts_deferred(end_solver=True):
             callback.begin(self.low, self.high, monitor and (lambda i, f, v: monitor(i, self.shown(f), v)))
@@ -205,10 +218,12 @@ class Nlp:
 
 # Whether a point is a local optimum: conditions of first and second order, from multipliers and exact derivatives -----
 
+NEAR_ONE = 100.0  # as far from 1 Ipopt takes objectives as they are
+PART_OF_SIZES = 0.1  # that unknowns are moved by, to see what the gradient changes by
 CURVED_HESSIAN_RATIO = 1e-6  # of the Hessian in the free directions: less is rounding
 CURVATURE_NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none
-FLAT_CURVATURE = 1e-9  # curvature of an objective that has the same value at neighbours
-NEAR_BOUND = 1e-6  # distance to a bound, relative to the range or to 1, at which it is active
+FLAT_CURVATURE = 1e-9  # curvature over sizes, relative to the objective's, where neighbours have the same value
+NEAR_BOUND = 1e-6  # distance to a bound, relative to the range or to the size, at which it is active
 ACTIVE_MULTIPLIER_RATIO = 1e-5  # size of a multiplier, relative to the largest, at which its bound is active
 
 
@@ -224,6 +239,7 @@ class Optimality:
         curvature: smallest eigenvalue of the Hessian of the Lagrangian on the directions that equations and active
             bounds leave free, in the metric of the free numbers; infinite where none is left, nan where not known.
         negative: the most negative one relative to the largest; 0 where none is beyond rounding.
+        flat: whether neighbours along some direction of the free numbers do as well.
     """
 
     kkt: float
@@ -231,6 +247,7 @@ class Optimality:
     multipliers: Mapping[str, float]
     curvature: float
     negative: float
+    flat: bool
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -242,28 +259,53 @@ class Optimality:
 def optimality(nlp: Nlp, solution: Solution) -> Optimality:
     """The conditions at a solution; the last few are kept."""
     g, J = nlp.residual(solution.x), nlp.jacobian(solution.x)
-    multipliers, unknowns, rows = _active(nlp, solution, g)
+    scaled = _scaled(nlp, solution, J)
+    multipliers, unknowns, rows = _active(nlp, solution, g, scaled)
     curvature, negative = _curvature(nlp, solution, J, unknowns, rows) if nlp.exact else (np.nan, 0.0)
-    return Optimality(*_kkt(nlp, solution, g, J), multipliers, curvature, negative)
+    size = float(np.min(scaled.sizes[nlp.measured], initial=np.inf)) if nlp.measured.size else 1.0
+    flat = bool(curvature * size**2 < FLAT_CURVATURE * scaled.largest)
+    return Optimality(*_kkt(nlp, solution.x, g, scaled), multipliers, curvature, negative, flat)
 
 
-def _kkt(nlp: Nlp, solution: Solution, g: Array, J: Any) -> tuple[float, float]:
+class _Scaled(NamedTuple):
+    """Conditions without units: of unknowns over their `sizes`, and constraints over `heights`, those of their terms.
+
+    The gradient and the multipliers are in units of the objective, whose `gradient_size` is `largest`; J has no unit.
+    """
+
+    sizes: Array
+    heights: Array
+    J: Any
+    gradient: Array
+    lam_g: Array
+    lam_x: Array
+    largest: float
+
+
+def _scaled(nlp: Nlp, solution: Solution, J: Any) -> _Scaled:
+    sizes = nlp.sizes(solution.x)
+    J = J.multiply(sizes[None]).tocsr()
+    heights = np.asarray(abs(J).sum(axis=1)).ravel()
+    heights[heights == 0.0] = 1.0
+    gradient, lam_g = sizes * nlp.gradient(solution.x), heights * solution.lam_g
+    largest = nlp.gradient_size(solution.x)
+    return _Scaled(sizes, heights, J.multiply(1.0 / heights[:, None]), gradient, lam_g, sizes * solution.lam_x, largest)
+
+
+def _kkt(nlp: Nlp, x: Array, g: Array, scaled: _Scaled) -> tuple[float, float]:
     """The larger residual of stationarity and complementarity, and the violation."""
-    x, lam_g, lam_x = solution.x, solution.lam_g, solution.lam_x
-    gradient, moves = nlp.gradient(x), nlp.lower < nlp.upper
-    largest = max(1.0, float(np.max(np.abs(gradient))))
+    sizes, heights, J, gradient, lam_g, lam_x, largest = scaled
+    moves, rows = nlp.lower < nlp.upper, nlp.condition_rows
     terms = np.abs(gradient) + np.asarray(abs(J).T @ np.abs(lam_g)).ravel()
     total = gradient + np.asarray(J.T @ lam_g).ravel() + lam_x
-    gap = nlp.violations(g) / np.maximum(1.0, np.asarray(abs(J) @ np.abs(x)).ravel())
-    outside = np.maximum(np.maximum(nlp.lower - x, x - nlp.upper), 0.0)
-    rows = nlp.condition_rows
+    outside = np.maximum(np.maximum(nlp.lower - x, x - nlp.upper), 0.0) / sizes
     products = np.append(
-        _complementarity(lam_x, nlp.upper - x, x - nlp.lower)[moves],
-        _complementarity(lam_g, nlp.high - g, g - nlp.low)[rows],
+        _complementarity(lam_x, (nlp.upper - x) / sizes, (x - nlp.lower) / sizes)[moves],
+        _complementarity(lam_g, (nlp.high - g) / heights, (g - nlp.low) / heights)[rows],
     )
     stationarity = np.max((np.abs(total) / np.maximum(largest, terms))[moves])
-    complementarity = np.max(products, initial=0.0) / largest
-    return float(max(stationarity, complementarity)), float(max(np.max(gap, initial=0.0), np.max(outside)))
+    complementarity, gaps = np.max(products, initial=0.0) / largest, nlp.violations(g) / heights
+    return float(max(stationarity, complementarity)), float(max(np.max(gaps, initial=0.0), np.max(outside)))
 
 
 def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
@@ -271,25 +313,22 @@ def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
     return np.abs(multipliers) * np.abs(np.where(multipliers == 0, 0.0, slack))
 
 
-def _active(nlp: Nlp, solution: Solution, g: Array) -> tuple[dict[str, float], Indices, Indices]:
+def _active(nlp: Nlp, solution: Solution, g: Array, scaled: _Scaled) -> tuple[dict[str, float], Indices, Indices]:
     """Active bounds and equalities in words with multipliers, the unknowns at them, and the rows of conditions."""
-    x = solution.x
-    held = ACTIVE_MULTIPLIER_RATIO * max(
-        1.0, *(float(np.max(np.abs(v), initial=0.0)) for v in (solution.lam_g, nlp.gradient(x)))
-    )
+    x, held = solution.x, ACTIVE_MULTIPLIER_RATIO * max(scaled.largest, *np.abs(scaled.lam_g))
     found, unknowns, rows = dict[str, float](), list[int](), list[int]()
     for name, places in nlp.unknowns.items():
         low, high = nlp.lower[places], nlp.upper[places]
-        near = NEAR_BOUND * np.where(np.isfinite(high - low), high - low, np.maximum(1.0, np.abs(x[places])))
+        near = NEAR_BOUND * np.where(np.isfinite(high - low), high - low, scaled.sizes[places])
         for bound, sign, side in ((low, ">=", -1.0), (high, "<=", 1.0)):
-            at = (np.abs(x[places] - bound) <= near) | (side * solution.lam_x[places] > held)
+            at = (np.abs(x[places] - bound) <= near) | (side * scaled.lam_x[places] > held)
             if np.any(at):
                 where = "" if places.size == 1 else f" at {np.count_nonzero(at)} of {places.size} points"
                 found[f"{name} {sign} {bound[0]:.10g}{where}"] = -nlp.sign * float(np.sum(solution.lam_x[places[at]]))
                 unknowns += places[at].tolist()
     for row, condition in zip(nlp.condition_rows.tolist(), nlp.conditions, strict=True):
         for bound, sign in ((condition.lower, ">="), (condition.upper, "<=")):
-            if np.isfinite(bound) and abs(g[row] - bound) <= NEAR_BOUND * max(1.0, abs(bound)):
+            if np.isfinite(bound) and abs(g[row] - bound) <= NEAR_BOUND * scaled.heights[row]:
                 rows.append(row)
                 words = f"{condition.name} {'=' if condition.equality else sign} {bound:.10g}"
                 found[words] = -nlp.sign * float(solution.lam_g[row])
@@ -447,7 +486,7 @@ def judged(nlp: Nlp, start: Start, first: Array, solution: Solution) -> Outcome:
         return Outcome(start, ending, words, path, values, solution)
     gaps, found = nlp.violations(nlp.residual(x)), optimality(nlp, solution)
     worst = int(np.argmax(gaps))
-    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt, found.violation, gaps[worst]) <= CONVERGED:
+    if ending in (Ending.FAILED, Ending.INFEASIBLE) and max(found.kkt, found.violation) <= CONVERGED:
         fault = nlp.fault(x) or (f"curvature {found.negative:.1e} of the largest" if found.negative < 0 else "")
         ending, words = (Ending.NO_OPTIMUM, f"stationary, but {fault}") if fault else (Ending.FOUND, words)
     elif ending is Ending.INFEASIBLE:

@@ -27,7 +27,7 @@ from casadi_skin.search.conditions import checked_bounds, checked_conditions, fr
 from casadi_skin.search.design import Design, Ending, best_of, grouped, optimum_words
 from casadi_skin.search.design_problem import DesignProblem, family_starts
 from casadi_skin.search.designs import best_design
-from casadi_skin.search.nlp import FLAT_CURVATURE, Outcome, Start, lost_start, solve_start
+from casadi_skin.search.nlp import Outcome, Start, lost_start, solve_start
 from casadi_skin.solve.processes import Report, Runner
 from casadi_skin.zero.orbit import Guess, Sizes, sampled
 from casadi_skin.zero.problem import Array
@@ -150,7 +150,7 @@ class OrbitSearch:
         problem = stated(space.levels.problem(plain.intervals).with_constants(plain.problem.constants))
         conditions = [replace(c, quantity=self._at_zero(plain, c.quantity)) for c in self.conditions]
         scales = {name: high - low for name, (low, high) in self.limits.items() if name in self.free}
-        scales = {name: s if math.isfinite(s) else max(1.0, abs(self.parameters[name])) for name, s in scales.items()}
+        scales = {name: s if math.isfinite(s) else abs(self.parameters[name]) or 1.0 for name, s in scales.items()}
         if not self.model.forced:
             scales[PERIOD] = float(self.t[-1]) / self._part
         x = np.concatenate([plain.point.z[:-1], [plain.parameters[name] for name in self.free], [0.0]])
@@ -204,7 +204,7 @@ class OrbitSearch:
             conditions=dict(zip((condition.name for condition in self.conditions), rows, strict=True)),
             multipliers=found.multipliers, optimality=found.kkt, violation=found.violation, curvature=found.curvature,
             difference=difference(orbit, plain), status=Ending.FOUND,
-            reason=optimum_words(found.multipliers) + (flat if found.curvature < FLAT_CURVATURE else ""),
+            reason=optimum_words(found.multipliers) + (flat if found.flat else ""),
         )  # fmt: skip
 
     def _quantities(self, orbit: Orbit) -> dict[str, float]:

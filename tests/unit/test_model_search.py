@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import ellipk
 
 from casadi_skin import Chain, OdeModel, find_orbit, search_orbit
+from casadi_skin.search.conditions import sampled_starts
 from casadi_skin.search.design import Design, Ending, best_of
 from casadi_skin.solve.processes import SearchProgress
 
@@ -241,6 +242,33 @@ def test_without_an_optimum_the_nearest_start_tells_why() -> None:
         == f"interrupted after 1 of 2 starts; {nowhere.reason}"
     )
     assert best_of([nowhere]).optima == ()
+
+
+@pytest.mark.parametrize(("of_value", "of_parameter"), [(1.0, 1.0), (1e-8, 1.0), (1e8, 1.0), (1.0, 1e-6), (1.0, 1e6)])
+def test_an_optimum_is_one_in_any_unit(of_value: float, of_parameter: float) -> None:
+    """Van der Pol's largest position is 2.005 at mu = 0.728: in a unit of 1e8 the search ended where it began."""
+    x, y, mu = (ca.SX.sym(name) for name in ("x", "y", "mu"))
+    field = ca.vertcat(y, mu / of_parameter * (1 - x**2) * y - x)
+    model = OdeModel("van der Pol", ca.vertcat(x, y), field, mu, nominal=(of_parameter,))
+    found = search_orbit(
+        model, guess=lambda t: [2 * np.cos(t), -2 * np.sin(t)], period=6.3, section=y, free=["mu"], starts=1,
+        objective=of_value * (x - 2.005) ** 2, bounds={"mu": (0.2 * of_parameter, 3 * of_parameter)},
+    )  # fmt: skip
+    assert found.reason == "found an optimum inside its bounds"
+    assert found.parameters["mu"] == pytest.approx(0.727739 * of_parameter, rel=2e-6)
+    assert max(found.optimality, found.violation) < 1e-10
+    assert found.value < 1e-15 * of_value
+
+
+def test_starts_spread_as_far_as_something_says() -> None:
+    """Of a 0 the limits that there are; without any it stays 0, whatever unit it has."""
+    for unit in (1e-9, 1.0, 1e9):
+        starts = np.array(
+            sampled_starts([0.0, 0.0, unit], [(-np.inf, np.inf), (-np.inf, 3 * unit), (0, 9 * unit)], 20, 1)
+        )
+        assert not np.any(starts[:, 0])
+        assert -3 * unit < starts[1:, 1].min() < -2 * unit < 2 * unit < starts[:, 1].max() < 3 * unit
+        assert 8 * unit < starts[:, 2].max() < 9 * unit
 
 
 def test_what_searches_are_not_for_is_named() -> None:
