@@ -160,11 +160,16 @@ class DesignProblem:
         return np.array(rows).ravel(), np.array(by_numbers) @ by_over
 
     def errors(self, things: Sequence[LocatedThing]) -> tuple[Array, Array]:
-        """Estimated errors of both, from those of what is located."""
-        _, by_numbers = self.function(np.concatenate([thing.numbers for thing in things]))
-        numbers, derivatives = zip(*(thing.errors for thing in things), strict=True)
-        slopes = np.abs(np.array(by_numbers))
-        return slopes @ np.concatenate(numbers), slopes @ np.vstack(derivatives)
+        """Estimated errors of both, from those of what is located; by slopes that vanish too, as at an optimum."""
+        numbers = np.concatenate([thing.numbers for thing in things])
+        errors, derivatives = zip(*(thing.errors for thing in things), strict=True)
+        own, (rows, by_numbers) = np.concatenate(errors), map(np.array, self.function(numbers))
+        parts = np.abs(by_numbers) * own
+        for k in np.flatnonzero(own):
+            for side in (-own[k], own[k]):
+                moved = np.array(self.function(numbers + side * (np.arange(own.size) == k))[0])
+                parts[:, k] = np.fmax(parts[:, k], np.abs(moved - rows)[:, 0])
+        return np.sum(parts, axis=1), np.abs(by_numbers) @ np.vstack(derivatives)
 
 
 def family_starts(

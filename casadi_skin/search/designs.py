@@ -34,6 +34,8 @@ MOST_KNOWN = 16  # designs that are kept, of which the nearest is where the next
 ACCURACY = 1e-16  # of the scaled objective, at which SLSQP ends by itself; what is sought ends it before
 OPTIMAL, SOUGHT = 1e-7, 2e-8  # of the largest scaled gradient: what an optimum may leave, and what is sought
 FLAT = 1e-2  # of a constraint's largest gradient and value, below which a gradient does not say what is small
+VALUE_ROUNDING = 4.0 * EPSILON  # of a quantity that is made of a few operations
+NEAREST_DESIGNS, LARGEST_PART_ACROSS = 3, 0.3  # from which curvature is estimated; of a way, across active bounds
 NEAR_BOUND = 1e-7  # of its range: a number at its bound
 RESTORING_STEPS = 2  # of Newton's method on active constraints, from an end of SLSQP
 SHORTEST_SHARE = 2.0**-12  # of the way between two designs: the smallest step of the continuation
@@ -128,8 +130,9 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """The conditions of first order: what is left of the gradient, violation, and bounds with their weights."""
+    """The conditions of first order: what is `left` of the gradient, violation, and bounds with their weights."""
 
+    left: Array
     optimality: float
     violation: float
     worst: str
@@ -147,6 +150,18 @@ class Place:
     p: Array
     things: tuple[LocatedThing, ...]
     rows: Rows | None = None
+
+    @property
+    def values(self) -> Array:
+        """Objective and constraints, shape (rows,)."""
+        assert self.rows is not None
+        return self.rows[0]
+
+    @property
+    def slopes(self) -> Array:
+        """Their derivatives, shape (rows, over)."""
+        assert self.rows is not None
+        return self.rows[1]
 
 
 class Search:
@@ -236,7 +251,7 @@ class Search:
             error, slope_error = self._errors(conditions)
             finer = [thing.finer for thing in things] if error < np.inf else []
             if error <= tolerance * max(map(abs, self.values)) or all(thing is None for thing in finer):
-                return self._optimum(p, conditions, (error, slope_error), words)
+                return self._optimum(p, conditions, (error + self._still_to_gain(conditions), slope_error), words)
             self.known = [Place(p, tuple(two or one for one, two in zip(things, finer, strict=True)))]
         return self._design(p)
 
@@ -374,7 +389,32 @@ class Search:
             weights = nnls(normals / heights, left)[0] / heights
             left = left - normals @ weights
         bounds = list(zip(active, weights.tolist(), strict=True))
-        return Conditions(float(np.max(np.abs(left))) / (self.sizes[0] or 1.0), violation, worst, bounds)
+        return Conditions(left, float(np.max(np.abs(left))) / (self.sizes[0] or 1.0), violation, worst, bounds)
+
+    def _still_to_gain(self, conditions: Conditions) -> float:
+        """By how much the value may be off that of the optimum, by what is left of the gradient, g.
+
+        From another design, w away, at which the gradient of the Lagrangian along the way is G: g^2/k by the curvature
+        k = (G - g)/w, and g w (g/G)^(1/(m - 1)) by |x|^m, m = G w over the fall of the value, where w is far longer
+        than what is left. Of the nearest designs along active bounds the largest, twice.
+        """
+        *others, here = [one for one in self.known if one.rows is not None]
+        weights, left = np.append(self.sign, np.zeros(len(self.problem.rows))), float(np.linalg.norm(conditions.left))
+        for bound, weight in conditions.bounds:
+            weights[bound.row] -= bound.side * weight * (bound.row > 0)  # bounds of parameters are straight
+        normals = np.array([bound.normal for bound, _ in conditions.bounds]).reshape(-1, here.p.size)
+        found = list[tuple[float, float, float]]()
+        for one in others:
+            way = (one.p - here.p) / self.problem.scales
+            length, across = np.linalg.norm(way), np.linalg.norm(np.linalg.lstsq(normals, normals @ way)[0])
+            if length > 0.0 and across <= LARGEST_PART_ACROSS * length:
+                fall, far = float(weights @ (one.values - here.values)), float(weights @ one.slopes @ (one.p - here.p))
+                near, most = float(weights @ here.slopes @ (one.p - here.p)), float(left * length)
+                power = 1.0 / (max(far / fall, 2.0) - 1.0) if fall > 0.0 else 1.0
+                by_curvature = most**2 / (far - near) if far > near else most
+                found.append((float(length), by_curvature, most * min(most / far, 1.0) ** power if far > 0.0 else most))
+        nearest = sorted(found)[:NEAREST_DESIGNS]
+        return 2.0 * max([*(gain for _, gain, _ in nearest), *(gain for *_, gain in nearest[:1])], default=left)
 
     def _errors(self, conditions: Conditions) -> tuple[float, float]:
         """Estimated errors of the value, also by what bounds and constraints are off by, and of the optimality."""
@@ -385,7 +425,7 @@ class Search:
         off, own = 0.0 if self.infeasible else 1.0, np.append(0.0, rows[1:])  # bounds of parameters have no errors
         held = sum(weight * (own[b.row] + off * abs(b.gap)) for b, weight in conditions.bounds)
         left = float(np.max(slopes[0] * self.problem.scales)) / (self.sizes[0] or 1.0)
-        return float(rows[0] + held + EPSILON * abs(self.values[-1])), left
+        return float(rows[0] + held + VALUE_ROUNDING * abs(self.values[-1])), left
 
     def _optimum(self, p: Array, conditions: Conditions, errors: tuple[float, float], words: str) -> Design:
         problem, multipliers, place = self.problem, dict[str, float](), self.known[-1]

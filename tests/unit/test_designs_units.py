@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import minimize, minimize_scalar
 
 from casadi_skin import OdeModel, find_equilibrium, optimise
+from casadi_skin.search.design_problem import DesignProblem
 from casadi_skin.search.designs import Design
 
 
@@ -128,3 +129,37 @@ def test_a_parameter_that_is_zero_has_no_unit_of_its_own(unit: float) -> None:
     design = optimise("u", state, over=["p", "q"])
     assert design.found
     assert [design["p"] / unit, design["q"]] == pytest.approx([1.0, 2.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_the_error_of_a_value_covers_what_is_still_to_gain(seed: int) -> None:
+    """Least values that are known, of functions whose second derivatives vanish there: SLSQP ends beside them."""
+    random = np.random.default_rng(seed)
+    unit, size = (float(10.0**power) for power in random.uniform(-6, 6, 2))
+    x, p, q = (ca.SX.sym(name) for name in "xpq")
+    model = OdeModel("line", x, p - x, ca.vertcat(p, q), nominal=unit * random.uniform(1, 3, 2))
+    y, z = f"(x/{unit!r} - {float(random.uniform(-1, 1))!r})", f"(q/{unit!r} - 0.2)"
+    quantity, over = (
+        (f"abs({y})^{(3, 4, 6, 8)[seed // 4]}", ["p"]),
+        (f"{y}^2 + {z}^4", ["p", "q"]),
+        (f"{y}^4 + ({y} - {z})^2", ["p", "q"]),
+        (f"{y}^4 + {y}^2*{z}^2 + {z}^4", ["p", "q"]),
+    )[seed % 4]
+    bounds = {"p": (-5.3 * unit, 4.1 * unit)} if seed % 8 < 4 else None
+    design = optimise(f"{size!r}*({quantity})", find_equilibrium(model, [unit]), over=over, bounds=bounds)
+    assert design.found, design.reason
+    most = 1e4 if seed % 4 == 2 else 100.0  # a valley across both parameters
+    assert design.value <= design.error <= most * design.value  # of the value 0
+
+
+def test_the_error_of_a_value_covers_that_of_what_is_located_where_slopes_vanish() -> None:
+    """(x - x0)^2 at x = x0, an equilibrium of error e: the value 0 is off by e^2, and |x - x0| by e."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    found = find_equilibrium(OdeModel("root", x, p - x**3, p, nominal=[2.0]), [1.2])
+    (of,) = DesignProblem.of(lambda one: (one.x - found.state[0]) ** 2, found, ["p"], (), None, False).things
+    off = of.errors[0][of.expressions.names.index("x")]
+    assert off > 0.0
+    for power in (1, 2):
+        quantity = lambda one, power=power: ca.fabs(one.x - found.state[0]) ** power  # noqa: E731
+        problem = DesignProblem.of(quantity, found, ["p"], (), None, False)
+        assert problem.errors(problem.things)[0][0] == pytest.approx(off**power)
