@@ -25,11 +25,11 @@ MOST_EVENT_ITERATIONS = 100
 MOST_COMPLAINTS = 20
 DISCARD_STATUS = 2  # the status of values that cannot be computed
 COMPONENT_FUNCTIONS = (  # the first ones in the order of native/fmus.c
-    "SetTime", "SetContinuousStates", "Set", "GetDerivatives", "Get", "GetDirectionalDerivative", "GetContinuousStates",
-    "GetEventIndicators", "Reset",
+    "SetTime", "SetContinuousStates", "Set", "GetDerivatives", "Get", "GetDirectionalDerivative", "GetEventIndicators",
+    "GetContinuousStates", "Reset",
 )  # fmt: skip
-COMPONENT, GROUP = "iiiiiiiii", "iia"
-POINTS = "aaa" + 3 * GROUP + "iaa" + "iaa" + "a"
+COMPONENT, GROUP = "iiiiiiiiii", "iia"
+POINTS = "aaa" + 3 * GROUP + "i" + "iaa" + "iaa" + "a"
 MOST_POINTS, MOST_NUMBERS = 256, 1 << 20  # of one call, whose numbers stay in the memory of points
 Places = NDArray[np.int64]
 NONE = Group.of(())
@@ -79,7 +79,7 @@ class Component:
         self._held = Group.of(held)
         # An event elsewhere than at the start would decide anew by which equations it goes on.
         self._tunable = all(element.tunable for element in held) and not indicators
-        self._positive = np.zeros(indicators, dtype=bool)  # event indicators at the start
+        self.positive = np.zeros(indicators, dtype=bool)  # event indicators at the start; zeros are negative in FMI
         self._n = states
         self._instantiate()
 
@@ -91,7 +91,7 @@ class Component:
         self._names = {name: prefix + renamed.get(name, name) for name in COMPONENT_FUNCTIONS}
         self._fmi = {name: partial(getattr(fmu, full), fmu.component) for name, full in self._names.items()}
         places = [_place(getattr(fmu.dll, full, None)) for full in self._names.values()]
-        self._compiled = Structure(COMPONENT, 2 if self._two else 3, self._n, fmu.component, *places[:6])
+        self._compiled = Structure(COMPONENT, 2 if self._two else 3, self._n, fmu.component, *places[:7])
         self._fresh = True  # instantiated, and nothing else
 
     def free(self) -> None:
@@ -116,7 +116,10 @@ class Component:
         self._fmu.exitInitializationMode()
         self._events()
         self._fmu.enterContinuousTimeMode()
-        self._positive = self._indicators() > 0.0
+        found = np.zeros(self.positive.size)
+        if found.size:
+            self._fmi["GetEventIndicators"](_pointer(found), found.size)
+        self.positive = found > 0.0
 
     def change(self, held: Array) -> None:
         """Give it other values of its parameters: at an event where they are tunable, else from the start."""
@@ -155,7 +158,9 @@ class Component:
             self._fmi["SetTime"](at.t[row])
             self._fmi["SetContinuousStates"](_pointer(at.x[row]), self._n)
             self._give(at.moved, at.inputs[row])
-            if at.wanted is None:
+            if at.indicators:
+                self._fmi["GetEventIndicators"](_pointer(at.result), at.indicators)
+            elif at.wanted is None:
                 self._fmi["GetDerivatives"](_pointer(at.result), self._n)
             elif not len(at.seeds):
                 self._fmi["Get"](*at.wanted.named, *self._counted(at.result))
@@ -171,17 +176,6 @@ class Component:
         self._fmi["GetContinuousStates"](_pointer(found), self._n)
         return found
 
-    def _indicators(self) -> Array:
-        found = np.zeros(self._positive.size)
-        if found.size:
-            self._fmi["GetEventIndicators"](_pointer(found), found.size)
-        return found
-
-    def crossed(self) -> int | None:
-        """The first event indicator whose sign is not that at the start, where it is; a zero is negative in FMI."""
-        changed = np.flatnonzero((self._indicators() > 0.0) != self._positive)
-        return int(changed[0]) if changed.size else None
-
     def _give(self, to: Group, numbers: Array) -> None:
         if to.references.size:
             self._fmi["Set"](*to.named, *self._counted(numbers))
@@ -195,28 +189,31 @@ class Points:
     """Doubles that a binary shares: times, states and inputs `moved` of several points, and `numbers` of each.
 
     These are parts of the values of the variables `wanted`, or of the derivatives of the states where that is None, or,
-    along `seeds`, numbers for each entry of the variables `known`, of derivatives along each. Of the first point,
-    with parameters and inputs `p`, `given` are its bytes, and `parts` those of its numbers.
+    along `seeds`, numbers for each entry of the variables `known`, of derivatives along each; or so many `indicators`,
+    where there are any. Of the first point, with parameters and inputs `p`, `given` are its bytes, and `parts` those of
+    its numbers.
     """
 
     def __init__(
         self, sizes: tuple[int, int], moved: Group, wanted: Group | None, known: Group, seeds: Array | None,
-        parts: Sequence[Places],
+        parts: Sequence[Places], indicators: int,
     ) -> None:  # fmt: skip
         states, parameters = sizes
+        self.indicators = indicators
         self.wanted, self.known, self.moved = wanted, known, moved
         self.pick = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
         rows = self.rows = max(1, min(MOST_POINTS, MOST_NUMBERS // (states + parameters + self.pick.size)))
         self.t, self.x, self.p = np.zeros(rows), np.zeros((rows, states)), np.zeros((rows, parameters))
         self.inputs = np.tile(moved.starts, (rows, 1))
         self.seeds = np.zeros((0, known.starts.size)) if seeds is None else seeds
-        self.result = np.zeros((len(self.seeds) or 1, states if wanted is None else wanted.starts.size))
+        size = indicators or (states if wanted is None else wanted.starts.size)
+        self.result = np.zeros((len(self.seeds) or 1, size))
         self.numbers, self.failed = np.zeros((rows, self.pick.size)), np.zeros(3, dtype=np.int64)
         self.given = [array.view(np.uint8).data for array in (self.t[:1], self.x[0], self.p[0])]
         self.ends = list(itertools.accumulate(places.size for places in parts))
         self.parts = [part.view(np.uint8).data for part in np.split(self.numbers[0], self.ends[:-1])]
         groups = [(g.references.size, g.starts.size, g.references) for g in (moved, wanted or NONE, known)]
-        along = len(self.seeds), self.seeds, self.result
+        along = indicators, len(self.seeds), self.seeds, self.result
         data = *itertools.chain(*groups), *along, self.pick.size, self.pick, self.numbers, self.failed
         self.compiled = Structure(POINTS, self.t, self.x, self.inputs, *data)
 

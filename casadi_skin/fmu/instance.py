@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_skin.fmu.description import Array, Group, Unpacked, Variables, nearest_first
+from casadi_skin.fmu.description import Array, Group, Pattern, Unpacked, Variables, nearest_first
 from casadi_skin.fmu.fmu_component import (
     DISCARD_STATUS,
     MOST_COMPLAINTS,
@@ -58,7 +58,8 @@ class FmuInstance:
         self._components: dict[bytes, Component] = {}  # by their parameters
         self._finalizer = weakref.finalize(self, _close, self._components, unpacked.remove)
         self._inputs = Group.of(self.given[k] for k in self._moved)
-        self._place = self.points(None, parts=())  # where event indicators are asked for
+        count = len(variables.indicators)
+        self._indicators = self.points(None, parts=(np.arange(count),), indicators=count)
         self.start_given = np.array([element.start for element in self.given])
         component = self._instantiated()
         held = self.start_given[self._held]
@@ -77,9 +78,9 @@ class FmuInstance:
 
     def points(
         self, wanted: Group | None, known: Group = NONE, seeds: Array | None = None,
-        parts: Sequence[Places] | None = None,
+        parts: Sequence[Places] | None = None, indicators: int = 0,
     ) -> Points:  # fmt: skip
-        """Points for numbers of `wanted`, or their directional derivatives along the rows of `seeds`.
+        """Points for numbers of `wanted`, or their directional derivatives along the rows of `seeds`, or indicators.
 
         A seed has a number for each entry of the knowns' variables: all are given in each call, most with seed 0, as
         some FMUs go on with seeds of the call before.
@@ -88,7 +89,7 @@ class FmuInstance:
         if parts is None:
             parts = (np.arange(states) if wanted is None else wanted.places,)
         along = None if seeds is None else known.spread(seeds)
-        return Points((states, len(self.given)), self._inputs, wanted, known, along, parts)
+        return Points((states, len(self.given)), self._inputs, wanted, known, along, parts, indicators)
 
     def numbers(self, at: Points, t: Array, x: Array, p: Array) -> Array:
         """Those of any number of points, one a row of all of these; NaN where the FMU cannot compute them."""
@@ -112,26 +113,13 @@ class FmuInstance:
                 if result:
                     result[:] = part
 
-    def crossed(self, t: Array, x: Array, p: Array) -> str:
-        """That an event indicator changes its sign along a path, and when: rows are places; empty where none does."""
-        at = self._place
-        with self._lock:
-            for place in zip(t, x, p, strict=True):
-                at.t[:], at.x[:], at.p[:] = place
-                self._compute(at, 1)
-                if words := self._crossed(at):
-                    return words
-        return ""
-
-    def _crossed(self, at: Points) -> str:
-        component = self._components.get(at.p[0, self._held].tobytes())
-        try:
-            changed = None if component is None else component.crossed()
-        except self._failure as error:
-            return f"event indicators cannot be had at t = {at.t[0]:.6g}: {error}"
-        if changed is None:
-            return ""
-        return f"event indicator {self.variables.indicators[changed]} changes its sign at t = {at.t[0]:.6g}"
+    def indicators(self, t: Array, x: Array, p: Array) -> tuple[Array, Pattern]:
+        """Event indicators at points, one a row of all of these, and which of them are positive at the FMU's start."""
+        values = self.numbers(self._indicators, t, x, p)
+        known = (self._components.get(held.tobytes()) for held in p[:, self._held])
+        return values, np.array(
+            [v > 0.0 if one is None else one.positive for one, v in zip(known, values, strict=True)]
+        )
 
     def _compute(self, at: Points, rows: int) -> None:
         """The numbers of the first points: those of the same parameters in one call."""

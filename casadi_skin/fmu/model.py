@@ -16,12 +16,15 @@ from xml.etree import ElementTree as ET
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq, minimize_scalar
 
 from casadi_skin.fmu.description import (
     DESCRIPTION_FILE,
     Array,
     FmuChoices,
     FmuWarning,
+    Pattern,
     Unpacked,
     Variables,
     read_description,
@@ -117,9 +120,46 @@ class Indicators(Jumps):
 
     def along(self, times: Array, states: Array, parameters: Array, by: int = STATE) -> str:
         """That an indicator changes its sign along a path, with its name and the time; empty where none does."""
-        model, rows = self.model, np.broadcast_to(parameters, (len(times), np.shape(parameters)[-1]))
+        rows = np.broadcast_to(parameters, (len(times), np.shape(parameters)[-1]))
+        values, positive = self._at(times, states, rows)
+        if np.any(lost := ~np.all(np.isfinite(values), axis=1)):
+            return f"event indicators cannot be had at t = {times[np.argmax(lost)]:.6g}"
+        if np.ndim(parameters) == 1 and len(times) > 2 and np.all(np.diff(times) > 0.0):
+            spline = CubicSpline(times, states)
+            crossing = _crossing(times, values, positive[0], lambda t: self._at(t, spline(t), rows[:1])[0])
+        else:  # of places that are not in the order of time
+            crossing = next(((times[k], j) for k, j in np.argwhere((values > 0.0) != positive)), None)
+        if crossing is None:
+            return ""
+        t, which = crossing
+        return f"event indicator {self.model.instance.variables.indicators[which]} changes its sign at t = {t:.6g}"
+
+    def _at(self, times: Array, states: Array, rows: Array) -> tuple[Array, Pattern]:
+        """Indicators at places, and which of them are positive at the start."""
+        model, rows = self.model, np.broadcast_to(rows, (len(times), rows.shape[1]))
         given = np.hstack([rows, np.array(model.signals.map(len(times))(times[None])).T])
-        return model.instance.crossed(times, states[:, np.argsort(model.instance.variables.order)], given)
+        return model.instance.indicators(times, states[:, np.argsort(model.instance.variables.order)], given)
+
+
+def _crossing(times: Array, values: Array, positive: Pattern, at: Callable[[Array], Array]) -> tuple[float, int] | None:
+    """When an indicator has another sign than at the start, `positive` or not, and which one; None where none has.
+
+    `at` gives indicators at times between the places, where they are `values`. One that is nearest to zero at a place,
+    less than half as far as beside it, may be beyond zero between: its extremum is sought.
+    """
+    signs = np.where(positive, 1.0, -1.0)
+
+    def away(t: float, which: int) -> float:
+        return float(signs[which] * at(np.array([t]))[0, which])
+
+    for k, j in np.argwhere((values > 0.0) != positive):
+        return (brentq(away, times[k - 1], times[k], (j,)) if k else times[0]), j
+    before, here, after = ((signs * values)[first : len(values) - 2 + first] for first in range(3))
+    for k, j in np.argwhere((here <= before) & (here <= after) & (2.0 * here < np.maximum(before, after))):
+        nearest = minimize_scalar(away, (times[k], times[k + 2]), (times[k], times[k + 2]), (j,), "bounded").x
+        if away(nearest, j) < 0.0:
+            return brentq(away, times[k], nearest, (j,)), j
+    return None
 
 
 def made(unpacked: Unpacked, choices: FmuChoices, signals: Mapping[str, Signal]) -> FmuModel:

@@ -1,5 +1,5 @@
 /* Numbers of an FMU at several points in one call: an instance of its binary goes to the time, the state and the inputs
-   of each, and gives its derivatives, values of variables, or directional derivatives along several seeds. */
+   of each, and gives its derivatives, event indicators, values of variables, or derivatives along several seeds. */
 
 #include <stddef.h>
 
@@ -26,6 +26,7 @@ typedef struct {
     any_function *set; /* of reals or of floats, as the two below */
     get_states *derivatives;
     any_function *get, *directional;
+    get_states *indicators; /* as the derivatives, of which there are others */
 } component;
 
 typedef struct {
@@ -36,6 +37,7 @@ typedef struct {
 typedef struct {
     const double *t, *x, *inputs; /* (points), (points, states), (points, numbers of inputs) */
     group input, wanted, known;   /* derivatives are wanted where there is no `wanted` variable */
+    int64_t indicators;           /* their number, where these are wanted */
     int64_t directions;
     const double *seeds;          /* (directions, numbers of knowns); where there are none, values are wanted */
     double *result;               /* of one point, (directions or 1, numbers wanted) */
@@ -45,7 +47,7 @@ typedef struct {
     int64_t *failed;              /* the row where a call failed, which of `call` below, and its status */
 } points;
 
-enum call { SET_TIME, SET_STATES, SET_INPUTS, GET_DERIVATIVES, GET_VALUES, GET_DIRECTIONAL };
+enum call { SET_TIME, SET_STATES, SET_INPUTS, GET_DERIVATIVES, GET_VALUES, GET_DIRECTIONAL, GET_INDICATORS };
 enum status { WARNING = 1, ERROR = 3 };
 
 static int place(const component *of, const points *at, int64_t row, enum call *call)
@@ -69,7 +71,9 @@ static int place(const component *of, const points *at, int64_t row, enum call *
 static int values(const component *of, const points *at, double *result, enum call *call)
 {
     const size_t count = (size_t)at->wanted.variables, numbers = (size_t)at->wanted.numbers;
-    *call = count ? GET_VALUES : GET_DERIVATIVES;
+    *call = at->indicators ? GET_INDICATORS : count ? GET_VALUES : GET_DERIVATIVES;
+    if (at->indicators)
+        return of->indicators(of->instance, result, (size_t)at->indicators);
     if (!count)
         return of->derivatives(of->instance, result, (size_t)of->states);
     if (of->fmi == 2)

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from foreign_fmus import changed, recompiled
+from kernels import numpy_alone
 
 from casadi_skin import OdeModel, export_fmu, find_equilibrium, find_orbit, import_fmu, simulate
 from casadi_skin.fmu.description import FmuWarning
@@ -56,6 +57,10 @@ def crossed(model: FmuModel) -> str:
     return f"event indicator {model.instance.variables.indicators[1]} changes its sign at t = "
 
 
+def time_of(words: str) -> float:
+    return float(words.split("t = ")[1].split(";")[0])
+
+
 def circle(t: float) -> list[float]:
     return [2.0 * np.cos(t), -2.0 * np.sin(t)]
 
@@ -83,10 +88,11 @@ def test_an_orbit_across_an_event_is_refused(model: FmuModel) -> None:
 
 
 def test_a_motion_across_an_event_is_refused(model: FmuModel) -> None:
-    """Also between two times of output; the time is that of the smooth model, to a place that is looked at."""
+    """Also between two times of output, at the time of the smooth model."""
     t = np.linspace(0.0, 12.0, 24001)
     smooth = simulate(van_der_pol(), [2.0, 0.0], t, parameters={"mu": 3.0}).states
     first = int(np.argmax(smooth[:, 1] > LIMIT))
+    time = np.interp(LIMIT, smooth[first - 1 : first + 1, 1], t[first - 1 : first + 1])
     before = first - 100
     assert before > 0
     for follow in (
@@ -96,7 +102,25 @@ def test_a_motion_across_an_event_is_refused(model: FmuModel) -> None:
         np.testing.assert_allclose(follow(t[before])[-1], smooth[before], atol=1e-6)
         with pytest.raises(JumpError, match=f"^vdp: {crossed(model)}.*; {ACCEPTED}$") as said:
             follow(12.0)
-        assert float(str(said.value).split("t = ")[1].split(";")[0]) == pytest.approx(t[first], abs=12.0 / 2000 + 5e-4)
+        assert time_of(str(said.value)) == pytest.approx(time, abs=1e-5)
+
+
+def test_what_is_beyond_an_event_between_places_is_seen(model: FmuModel) -> None:
+    """The velocity comes to a peak beyond the limit between two places, with that at both below; or stays below."""
+    start, fine = [2.0, 0.0], np.linspace(0.0, 12.0, 12001)
+    for mu, beyond in ((1.755, True), (1.72, False)):
+        states = simulate(van_der_pol(), start, fine, parameters={"mu": mu}).states
+        peak = int(np.argmax(states[:, 1]))
+        assert (states[peak, 1] > LIMIT) == beyond
+        coarse = np.arange((peak - 50) % 100, fine.size, 100)
+        assert np.all(states[coarse, 1] < LIMIT)
+        words = model.jumps.along(fine[coarse], states[coarse], np.array([mu]))
+        assert words.startswith(crossed(model)) == beyond
+        if beyond:
+            known = fine[np.argmax(states[:, 1] > LIMIT)]
+            assert time_of(words) == pytest.approx(known, abs=0.01)
+        with numpy_alone():
+            assert model.jumps.along(fine[coarse], states[coarse], np.array([mu])) == words
 
 
 def test_a_start_beyond_an_event_is_refused(model: FmuModel) -> None:
