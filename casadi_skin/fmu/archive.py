@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import uuid
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -43,15 +43,11 @@ from casadi_skin.model.result import in_turn, renamed
 # The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml -------
 
 SOURCES = resources.files("casadi_skin.fmu") / "sources"
-INTERFACE_SOURCES = {
-    "2.0": ("fmi2.c",),
-    "3.0": ("fmi3.c",),
-}  # of the interface; that of the equations is named after the model
-LOG_CATEGORIES = {"logStatusDiscard": "Values that cannot be computed", "logStatusError": "Errors"}
 STRUCTURED_NAME = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
-UNIT_NAME = "1"
+DIMENSIONLESS = {"unit": "1"}
 MOST_REFERENCES = (1 << 31) - 1  # value references have 32 bits, and are numbers of an enum of C
 COMMUNICATION_STEPS = 500  # of communication, in the default experiment
+Fmi = Literal["3.0", "2.0"]
 
 
 @dataclass(frozen=True)
@@ -63,11 +59,26 @@ class Variable:
     causality: str
     variability: str
     initial: str | None = None
+    description: str = ""
+    min: float | None = None
+    max: float | None = None
+    nominal: float | None = None
     start: float | None = None
     derivative: int | None = None
-    bounds: tuple[float, float] | None = None
-    nominal: float | None = None
-    description: str = ""
+
+    @property
+    def words(self) -> dict[str, str]:
+        """Attributes of any variable."""
+        known = {key: getattr(self, key) for key in ("causality", "variability", "initial", "description")}
+        return {"name": self.name, "valueReference": str(self.reference)} | {
+            k: word for k, word in known.items() if word
+        }
+
+    @property
+    def numbers(self) -> dict[str, str]:
+        """Attributes of a real variable."""
+        known = {key: getattr(self, key) for key in ("min", "max", "nominal", "start")}
+        return DIMENSIONLESS | {key: repr(float(value)) for key, value in known.items() if value is not None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +106,8 @@ class Description:
             add(f"der({name})", "local", "calculated", f"time derivative of {name}", derivative=k)
         for name, value in zip(model.parameter_names, problem.parameters, strict=True):
             kind, initial = ("input", None) if name in problem.inputs else ("parameter", "exact")
-            add(name, kind, initial, kind, start=value, bounds=problem.bounds.get(name))
+            limits = dict(zip(("min", "max"), problem.bounds.get(name, ()), strict=False))
+            add(name, kind, initial, kind, start=value, **limits)
         for name in model.outputs:
             add(name, "output", "calculated", "output")
         if len(found) > MOST_REFERENCES:
@@ -121,52 +133,34 @@ class Description:
         held = range(1 + 2 * states, 1 + 2 * states + parameters - len(self.problem.inputs))
         return [r for r in references if r not in held or initially or fmi == "3.0"]
 
-    def source_files(self, fmi: str) -> tuple[str, ...]:
-        """Names of the C files that are compiled."""
-        return (*INTERFACE_SOURCES[fmi], f"{self.problem.identifier}_equations.c")
+    def filled(self, piece: str) -> ET.Element:
+        """A piece of descriptions.xml with the words of this model."""
+        problem, stop = self.problem, float(self.problem.stop_time)
+        words = {
+            "name": problem.model.name, "description": problem.description, "version": __version__,
+            "naming": self.naming, "token": self.token, "identifier": problem.identifier,
+            "equations": equations_file(problem), "stop": stop, "tolerance": float(problem.tolerance),
+            "step": stop / COMMUNICATION_STEPS,
+        }  # fmt: skip
+        root = ET.fromstring(pieces(SOURCES, "descriptions.xml")[piece])
+        for element in root.iter():
+            element.attrib.update({key: with_words(text, **words) for key, text in element.items()})
+        return root
 
-    def xml(self, fmi: str) -> bytes:
+    def xml(self, fmi: Fmi) -> bytes:
         """modelDescription.xml of a version of the standard."""
-        three, problem = fmi == "3.0", self.problem
-        given = {"fmiVersion": fmi, "modelName": problem.model.name, "description": problem.description}
-        given |= {"generationTool": f"casadi_skin {__version__}", "variableNamingConvention": self.naming}
-        given |= {"instantiationToken": self.token} if three else {"guid": self.token, "numberOfEventIndicators": "0"}
-        root = ET.Element("fmiModelDescription", given)
-        self._interfaces(root, fmi)
-        unit = ET.SubElement(ET.SubElement(root, "UnitDefinitions"), "Unit", {"name": UNIT_NAME})
-        ET.SubElement(unit, "BaseUnit")  # all exponents are 0: dimensionless
-        categories = ET.SubElement(root, "LogCategories")
-        for name, meaning in LOG_CATEGORIES.items():
-            ET.SubElement(categories, "Category", {"name": name, "description": meaning})
-        stop = float(problem.stop_time)
-        times = {"startTime": "0.0", "stopTime": repr(stop), "tolerance": repr(float(problem.tolerance))}
-        ET.SubElement(root, "DefaultExperiment", times | {"stepSize": repr(stop / COMMUNICATION_STEPS)})
-        variables = ET.SubElement(root, "ModelVariables")
+        three, root = fmi == "3.0", self.filled(fmi)
+        variables, structure = (next(root.iter(name)) for name in ("ModelVariables", "ModelStructure"))
         for v in self.variables:
-            names, numbers = {"name": v.name, "valueReference": str(v.reference)} | _common(v), _numbers(v)
+            numbers = v.numbers
             if v.derivative is not None:
                 numbers["derivative"] = str(v.derivative if three else v.derivative + 1)
             if three:
-                ET.SubElement(variables, "Float64", names | numbers)
+                ET.SubElement(variables, "Float64", v.words | numbers)
             else:
-                ET.SubElement(ET.SubElement(variables, "ScalarVariable", names), "Real", numbers)
-        self._structure(ET.SubElement(root, "ModelStructure"), fmi)
+                ET.SubElement(ET.SubElement(variables, "ScalarVariable", v.words), "Real", numbers)
+        self._structure(structure, fmi)
         return _text(root)
-
-    def _interfaces(self, root: ET.Element, fmi: str) -> None:
-        if fmi == "3.0":
-            flags = ("canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",
-                     "providesAdjointDerivatives")  # fmt: skip
-        else:
-            flags = ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate",
-                     "providesDirectionalDerivative")  # fmt: skip
-        common = {"modelIdentifier": self.problem.identifier} | dict.fromkeys(flags, "true")
-        exchange = ET.SubElement(root, "ModelExchange", common)
-        cosimulation = ET.SubElement(root, "CoSimulation", common | {"canHandleVariableCommunicationStepSize": "true"})
-        for parent in (exchange, cosimulation) if fmi == "2.0" else ():
-            files = ET.SubElement(parent, "SourceFiles")
-            for name in self.source_files(fmi):
-                ET.SubElement(files, "File", {"name": name})
 
     def _structure(self, structure: ET.Element, fmi: str) -> None:
         """Outputs, derivatives and unknowns of the initialisation, with their dependencies."""
@@ -187,50 +181,22 @@ class Description:
                 ET.SubElement(parent, tag, {key: str(v.reference + first), "dependencies": words})
 
 
-def _common(variable: Variable) -> dict[str, str]:
-    found = {"causality": variable.causality, "variability": variable.variability}
-    found |= {"initial": variable.initial} if variable.initial is not None else {}
-    return found | ({"description": variable.description} if variable.description else {})
-
-
-def _numbers(variable: Variable) -> dict[str, str]:
-    found = {"unit": UNIT_NAME}
-    if variable.bounds is not None:
-        found |= {"min": repr(variable.bounds[0]), "max": repr(variable.bounds[1])}
-    for name, value in (("nominal", variable.nominal), ("start", variable.start)):
-        if value is not None:
-            found[name] = repr(float(value))
-    return found
-
-
 def _text(root: ET.Element) -> bytes:
     ET.indent(root)
     return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
 
 
-def build_description(identifier: str, files: Iterable[str]) -> bytes:
-    """sources/buildDescription.xml of FMI 3.0: the sources and options for compilers on other platforms."""
-    root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
-    configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": identifier})
-    group = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})
-    for name in files:
-        ET.SubElement(group, "SourceFile", {"name": name})
-    meaning = "mathematical functions of C, where they are a library of their own"
-    ET.SubElement(configuration, "Library", {"name": "m", "external": "true", "description": meaning})
-    return _text(root)
-
-
 # The documentation page inside an FMU ---------------------------------------------------------------------------------
 
 
-def page(description: Description, fmi: str) -> str:
+def page(description: Description, fmi: Fmi) -> str:
     """documentation/index.html: the model, its variables, its origin and how it is compiled elsewhere."""
     problem, piece = description.problem, pieces(SOURCES, "index.html")
     energy = piece["energy"] if "energy" in problem.model.outputs else ""
     chain = with_words(piece["chain"], energy=energy).rstrip() if "energy" in problem.meanings else ""
     return with_words(
         piece["page"], tolerance=repr(problem.tolerance), version=__version__, chain=chain,
-        files=" ".join(description.source_files(fmi)), identifier=problem.identifier,
+        files=" ".join(source_files(problem, fmi)), identifier=problem.identifier,
         rows="".join(map(_row, description.variables)), description=escape(problem.description),
         name=escape(problem.model.name),
     )  # fmt: skip
@@ -244,7 +210,7 @@ def _row(variable: Variable) -> str:
 
 # An FMU as a file: modelDescription.xml, sources, binary, documentation and icon in one archive -----------------------
 
-Fmi = Literal["3.0", "2.0"]
+INTERFACE_SOURCES = {"2.0": "fmi2.c", "3.0": "fmi3.c"}
 HEADER_FILES = ("instance.h", "dop853.h")
 _FILE_DATE = (1980, 1, 1, 0, 0, 0)  # of all files inside: the same model gives the same archive
 
@@ -324,16 +290,26 @@ def contents(problem: InitialValueProblem, fmi: Fmi) -> dict[str, bytes]:
         "documentation/index.html": page(description, fmi).encode(),
         "documentation/licenses/license.txt": _packaged("license.txt"),
         "sources/config.h": config_header(problem, equations, token).encode(),
-        f"sources/{problem.identifier}_equations.c": source.encode(),
+        f"sources/{equations_file(problem)}": source.encode(),
     }
-    files |= {f"sources/{name}": _packaged(name) for name in (*INTERFACE_SOURCES[fmi], *HEADER_FILES)}
+    files |= {f"sources/{name}": _packaged(name) for name in (INTERFACE_SOURCES[fmi], *HEADER_FILES)}
     if fmi == "3.0":
-        files["sources/buildDescription.xml"] = build_description(problem.identifier, description.source_files(fmi))
+        files["sources/buildDescription.xml"] = _text(description.filled("build"))
         files["terminalsAndIcons/terminalsAndIcons.xml"] = _packaged("terminalsAndIcons.xml")
         files["terminalsAndIcons/icon.png"] = _packaged("icon.png")
     else:
         files["model.png"] = _packaged("icon.png")
     return files
+
+
+def equations_file(problem: InitialValueProblem) -> str:
+    """Name of the C file of a model's equations."""
+    return f"{problem.identifier}_equations.c"
+
+
+def source_files(problem: InitialValueProblem, fmi: Fmi) -> tuple[str, str]:
+    """Names of the C files that are compiled."""
+    return INTERFACE_SOURCES[fmi], equations_file(problem)
 
 
 def _packaged(name: str) -> bytes:
@@ -343,9 +319,8 @@ def _packaged(name: str) -> bytes:
 def _compiled(problem: InitialValueProblem, fmi: Fmi, files: dict[str, bytes]) -> dict[str, bytes]:
     """The shared library for this platform, by its name in the archive."""
     name = library_name(fmi, problem.identifier)
-    sources = (*INTERFACE_SOURCES[fmi], f"{problem.identifier}_equations.c")
     with TemporaryDirectory(prefix="casadi_skin_fmu_") as folder:
         for file, text in files.items():
             if file.startswith("sources/"):
                 Path(folder, Path(file).name).write_bytes(text)
-        return {name: build_library(Path(folder), sources, Path(folder, "library")).read_bytes()}
+        return {name: build_library(Path(folder), source_files(problem, fmi), Path(folder, "library")).read_bytes()}
