@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
-from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -29,6 +28,7 @@ from casadi_skin.export.codegen import build_library, pieces, with_words
 from casadi_skin.export.exported_model import Source
 from casadi_skin.fmu.description import library_name
 from casadi_skin.fmu.initial_value_problem import (
+    SOURCES,
     Equations,
     InitialValueProblem,
     check_smooth,
@@ -42,7 +42,6 @@ from casadi_skin.model.result import in_turn, renamed
 
 # The XML files of an FMU: modelDescription.xml for FMI 2.0 and 3.0, buildDescription.xml, terminalsAndIcons.xml -------
 
-SOURCES = resources.files("casadi_skin.fmu") / "sources"
 STRUCTURED_NAME = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
 DIMENSIONLESS = {"unit": "1"}
 MOST_REFERENCES = (1 << 31) - 1  # value references have 32 bits, and are numbers of an enum of C

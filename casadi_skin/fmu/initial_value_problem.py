@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import resources
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casadi_skin.export.codegen import c_source, plain_name, prototype
+from casadi_skin.export.codegen import c_source, plain_name, prototype, with_words
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.closed_forms import Array
@@ -19,6 +20,7 @@ from casadi_skin.model.arguments import number, number_within, numbers, short_re
 from casadi_skin.model.jumps import INPUT, OPERATION_NAMES, STATE, TIME, Switch, switches
 from casadi_skin.model.ode import OdeModel
 
+SOURCES = resources.files("casadi_skin.fmu") / "sources"
 LONGEST_NAME = 60  # characters of an identifier: names of files are made of it
 DEFAULT_PERIODS = 10  # of the linear mode, the orbit or the forcing, in the default experiment
 ORBIT_SAMPLES = 256  # of an orbit, for the sizes along it
@@ -349,32 +351,16 @@ def config_header(problem: InitialValueProblem, equations: Equations, token: str
     """The text of config.h; the token distinguishes this model from others, in FMI calls and in serialised states."""
     functions, model = equations.functions, problem.model
     bounds = [problem.bounds.get(name, (-math.inf, math.inf)) for name in model.parameter_names]
-    sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
-    arrays = {
-        "START_STATES": problem.start,
-        "NOMINALS": problem.nominals,
-        "START_PARAMETERS": problem.parameters,
-        "PARAMETER_MIN": [low for low, _ in bounds],
-        "PARAMETER_MAX": [high for _, high in bounds],
-    }
-    lines = [
-        "/* Sizes and names of this model for the interface; written by casadi_skin. */",
-        "#ifndef CONFIG_H\n#define CONFIG_H\n",
-        f'#define INSTANTIATION_TOKEN "{token}"',
-        f"#define DEFAULT_TOLERANCE {problem.tolerance!r}\n",
-        "/* Numbers of states, parameters with the inputs, which are the last, inputs, and outputs that are no states;",
-        "   sizes of the work arrays. */",
-        f"enum {{ NX = {model.full_size}, NP = {len(problem.parameters)}, NI = {len(problem.inputs)}, "
-        f"NY = {len(model.outputs)} }};",
-        f"enum {{ {', '.join(f'{name.upper()} = {value}' for name, value in sizes.items())} }};\n",
-        "typedef long long int casadi_int;",
-        *(f"{prototype(f)};" for f in functions),
-        *(f"#define MODEL_{role.upper()} {f.name()}" for role, f in zip(FUNCTION_ROLES, functions, strict=True)),
-        "",
-        *(_array(name, values) for name, values in arrays.items()),
-        "\n#endif\n",
-    ]
-    return "\n".join(lines)
+    arrays = {"START_STATES": problem.start, "NOMINALS": problem.nominals, "START_PARAMETERS": problem.parameters}
+    arrays |= {"PARAMETER_MIN": tuple(low for low, _ in bounds), "PARAMETER_MAX": tuple(high for _, high in bounds)}
+    words = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+    words |= {"states": model.full_size, "parameters": len(problem.parameters), "inputs": len(problem.inputs)}
+    return with_words(
+        (SOURCES / "config_template.h").read_text(encoding="utf-8"), **words, outputs=len(model.outputs), token=token,
+        tolerance=repr(problem.tolerance), prototypes="\n".join(f"{prototype(f)};" for f in functions),
+        **{f"equations_{role}": f.name() for role, f in zip(FUNCTION_ROLES, functions, strict=True)},
+        arrays="\n".join(_array(name, values) for name, values in arrays.items()),
+    )  # fmt: skip
 
 
 def _array(name: str, values: Iterable[float]) -> str:
