@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RING_POINTS = 401
+RING_LABELS: dict[str, Any] = {"xlabel": r"Re $\omega^2$ (dots: of a ring)", "ylabel": r"Im $\omega^2$"}
 
 
 def draw_bands(axes: Axes, found: Bands) -> None:
@@ -48,16 +49,14 @@ def band_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
     figure = style.blank(7.2, 3.2)
     panels = figure.subplot_mosaic("abc")
     draw_bands(panels["a"], of_cell)
-    lean = ", ".join(f"{beta:.4g}" for beta in of_cell.beta)
-    panels["a"].set_xlabel(r"wave number $k/\pi$" if max(of_cell.beta) == min(of_cell.beta) == 1.0 else (
-        rf"wave number $k/\pi$, $|\beta| = {lean}$"))  # fmt: skip
+    lean = rf", $|\beta| = {', '.join(f'{beta:.4g}' for beta in of_cell.beta)}$"
+    panels["a"].set_xlabel(r"wave number $k/\pi$" + lean * any(beta != 1.0 for beta in of_cell.beta))
     panels["b"].plot(modes.participation, modes.frequencies.real, "o", ms=3, mfc="white", color="black")
     panels["b"].set_xlabel("participation ratio (sites)")
     panels["b"].sharey(panels["a"])
     panels["c"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.5, color="0.45")
     panels["c"].plot(modes.squares.real, modes.squares.imag, "o", ms=3, mfc="white", color="black")
-    panels["c"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
-    panels["c"].set_ylabel(r"Im $\omega^2$")
+    panels["c"].set(**RING_LABELS)
     figure.suptitle(style.title(lattice, parameters))
     return style.finished(figure, (), 1)
 
@@ -88,25 +87,19 @@ def skin_figure(lattice: Lattice, parameters: Mapping[str, float] | None = None)
     figure = style.blank(6.6, 3.2)
     panels = figure.subplot_mosaic("ab")
     panels["a"].plot(ring.squares.real, ring.squares.imag, ".", ms=1.0, color="0.6")
-    markers = {0.0: "x", 1.0: "o", -1.0: "s"}
-    for value in np.unique(windings[np.isfinite(windings)]):
-        chosen = squares[windings == value]
-        panels["a"].plot(
-            chosen.real, chosen.imag, markers.get(float(value), "^"), ms=3.5, mfc="white", color="black",
-            label=f"{value:+.0f}" if value else "0",
-        )  # fmt: skip
+    markers, look = {0.0: "x", 1.0: "o", -1.0: "s"}, dict[str, Any](mfc="white", color="black")
+    for value in np.unique(windings[np.isfinite(windings)]).tolist():
+        chosen, label = squares[windings == value], f"{value:+.0f}" if value else "0"
+        panels["a"].plot(chosen.real, chosen.imag, markers.get(value, "^"), ms=3.5, label=label, **look)
     on_ring = squares[np.isnan(windings)]
     if on_ring.size:
         panels["a"].plot(on_ring.real, on_ring.imag, "|", ms=5, color="black", label="none: on the ring's")
     panels["a"].legend(title="winding number", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    panels["a"].set_xlabel(r"Re $\omega^2$ (dots: of a ring)")
-    panels["a"].set_ylabel(r"Im $\omega^2$")
+    panels["a"].set(**RING_LABELS)
     circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 201))
     panels["b"].plot(circle.real, circle.imag, color="0.6", lw=0.8, ls=style.LINE_DASHES[1])
     panels["b"].plot(zone.real, zone.imag, "o", ms=3, mfc="white", color="black")
-    panels["b"].set_aspect("equal")
-    panels["b"].set_xlabel(r"Re $\beta$ (dashed: $|\beta| = 1$)")
-    panels["b"].set_ylabel(r"Im $\beta$")
+    panels["b"].set(aspect="equal", xlabel=r"Re $\beta$ (dashed: $|\beta| = 1$)", ylabel=r"Im $\beta$")
     figure.suptitle(style.title(lattice, parameters))
     return style.finished(figure, (), 1)
 
@@ -141,15 +134,13 @@ def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -
     panels = figure.subplot_mosaic("aab;aac" if N > 1 else "aab")
     marker = "o" if N <= style.MARKED_SITES else ""
     panels["a"].plot(j, frequencies, marker=marker, ms=4, lw=0.8, color="black", mfc="white", zorder=3)
-    cutoffs = zip(spectrum.cutoffs or (), ("min", "max"), (0.97, 0.03), (False, True), strict=False)
-    for square, name, x, below in cutoffs:
+    sides = (("min", 0.97, 3, "right", "bottom"), ("max", 0.03, -3, "left", "top"))
+    for square, (name, x, up, ha, va) in zip(spectrum.cutoffs or (), sides, strict=False):
         if square > 0:
-            omega, sides = float(np.sqrt(square)), ("left", "top") if below else ("right", "bottom")
+            omega, across = float(np.sqrt(square)), panels["a"].get_yaxis_transform()
             panels["a"].axhline(omega, color="0.45", lw=0.9, ls="--")
-            panels["a"].annotate(
-                rf"$\omega_\mathrm{{{name}}} = {omega:.4g}$", (x, omega), (0, -3 if below else 3),
-                panels["a"].get_yaxis_transform(), "offset points", ha=sides[0], va=sides[1],
-            )  # fmt: skip
+            words = rf"$\omega_\mathrm{{{name}}} = {omega:.4g}$"
+            panels["a"].annotate(words, (x, omega), (0, up), across, "offset points", ha=ha, va=va)
     style.number_sites(panels["a"], 1, N, "mode $j$")
     panels["a"].set_ylabel(r"linear frequency $\omega_j$")
     for letter, mode in zip("bc", (N, 1)[-len(panels) + 1 :], strict=False):

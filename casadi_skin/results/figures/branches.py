@@ -10,7 +10,6 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
@@ -146,20 +145,15 @@ def draw_changes(axes: Axes, branch: Branch, path: Array, pieces: Pieces, strip:
 
     With `strip`, changes whose marks would overlap are shown by a strip along the lower edge, dark where unstable.
     """
-    joints = np.array([piece[-1] for _, piece in pieces[:-1]]).reshape(-1, 2)
-    joints = joints[~_are_marked(joints, path[list(special_places(branch, path))], np.ptp(path, axis=0))]
+    joints, special = np.array([piece[-1] for _, piece in pieces[:-1]]).reshape(-1, 2), special_places(branch, path)
+    near = np.abs(joints[:, None] - path[list(special)]) <= SAME_PLACE * np.ptp(path, axis=0)
+    joints = joints[~np.any(np.all(near, axis=2), axis=1)]  # the others have the mark of the special point
     if joints.size and strip and np.all(np.diff(path[:, 0]) > 0.0) and crowded(joints[:, 0]):
         bars = [(piece[0, 0], np.ptp(piece[:, 0])) for stable, piece in pieces if stable is False]
         look: dict[str, Any] = {"fc": "0.25", "ec": "none", "transform": axes.get_xaxis_transform(), "zorder": 4}
         axes.broken_barh(bars, (0.0, STRIP_HEIGHT), label="unstable, along the amplitude", **look)
     elif joints.size:
         axes.plot(*thinned(joints).T, "|", ms=7, mew=0.9, color="black", label="change of stability", zorder=5)
-
-
-def _are_marked(joints: Array, special: Array, extent: Array) -> NDArray[np.bool_]:
-    """Which changes of stability lie at a special point as far as a picture shows, shape (joints,)."""
-    apart = np.abs(joints[:, None] - special) <= SAME_PLACE * extent
-    return np.asarray(np.any(np.all(apart, axis=2), axis=1))
 
 
 def crowded(places: Array) -> bool:
@@ -259,13 +253,12 @@ def _second_panel(branch: Branch) -> list[tuple[str, list[Array]]]:
 
 
 @style.drawn
-def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int = 0) -> Figure:
-    """A state of equilibria, and its largest and smallest value along cycles, against the parameter.
+def bifurcation_figure(branches: Sequence[Branch], title: str = "") -> Figure:
+    """The first state of equilibria, and its largest and smallest value along cycles, against the parameter.
 
     Arguments:
         branches: branches of equilibria and orbits in one parameter.
         title: stands in place of the name of the model.
-        state: place of the state among its names, from 0.
 
     Returns:
         The figure: stable stretches solid, unstable ones dashed, cycles in broader lines of another colour, and a
@@ -278,21 +271,20 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "", state: int =
     if not held or any(branch.parameter != held[0].parameter for branch in held):
         raise ValueError("branches: given none, or several parameters; accepted: branches in one parameter")
     first = held[0].solutions[0]
-    name = style.plain(first.space.state_names[state])
     rest, cycle = style.colours(2)
     figure = style.blank(6.4, 4.2)
     axes = figure.subplots()
     for branch in held:
         closed = branch.space.connects in (FAMILY, ORBITS)
         kind = "cycles" if closed else "equilibria" if branch.space.connects == EQUILIBRIA else "solutions"
-        for heights in courses(branch, state):
+        for heights in courses(branch, 0):
             path = np.column_stack([branch.values, heights])
             draw_pieces(axes, branch, path, stability_pieces(branch, path), cycle if closed else rest, kind)
             draw_special(axes, branch, path, 6)
-    equilibria = [branch.space.connects == EQUILIBRIA for branch in held]
-    both = f"{name}, of cycles largest and smallest" if any(equilibria) else f"{name}: largest and smallest value"
-    what = name if all(equilibria) else both
-    axes.set(xlabel=style.plain(held[0].parameter), ylabel=what)
+    at_rest = {branch.space.connects == EQUILIBRIA for branch in held}
+    words = ", of cycles largest and smallest" if True in at_rest else ": largest and smallest value"
+    name = style.plain(first.space.state_names[0]) + words * (False in at_rest)
+    axes.set(xlabel=style.plain(held[0].parameter), ylabel=name)
     axes.set_title(solution_title(first, title, (held[0].parameter, *held[0].space.free)), y=1.0)
     return style.finished(figure, [axes], 3, plain=True)
 

@@ -42,5 +42,4 @@ def draw_path(axes: Axes, result: Design) -> None:
         axes.plot(x, y, "o-", color=colour, ms=3, lw=0.8, label=label)
     axes.plot(x[:1], y[:1], "s", color="black", mfc="none", label="start")
     axes.plot(x[-1:], y[-1:], "o", color="tab:red", mfc="none", ms=9, label="optimum" if result.found else "end")
-    axes.set_xlabel(plain(names[0]))
-    axes.set_ylabel(plain(names[1] if len(names) > 1 else result.quantity))
+    axes.set(xlabel=plain(names[0]), ylabel=plain(names[1] if len(names) > 1 else result.quantity))

@@ -6,7 +6,7 @@ few states of a small model of first order are drawn as lines.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,9 +65,10 @@ def spacetime_figure(
     Raises:
         ValueError: the energy cannot be evaluated, as at |gamma| = 1 of a chain where sites off the edge move.
     """
-    energy, few = energy and evolution.has_energy, _has_few_states(evolution)
+    few = not evolution.equations.positions and evolution.states.shape[1] <= FEW_STATES
     profile = profile and not few
-    below = [draw for draw, wanted in ((_draw_energy, energy), (_distance_of(orbit), orbit is not None)) if wanted]
+    below = [_draw_energy] if energy and evolution.has_energy else []
+    below += [] if orbit is None else [partial(_draw_distance, orbit)]
     figure = style.blank(6.4 + 1.1 * profile, 3.4 + 1.1 * len(below))
     widths, heights = ([1.0, 6.0] if profile else [1.0]), [3.0, *(1.0 for _ in below)]
     grid = figure.add_gridspec(len(heights), len(widths), width_ratios=widths, height_ratios=heights)
@@ -77,10 +78,8 @@ def spacetime_figure(
     else:
         image = draw_spacetime(main, evolution, orbit)
         beyond = bool(np.abs(_shown(evolution)).max() > 1.02 * _largest(evolution, orbit))
-        extend = "both" if beyond else "neither"
-        figure.colorbar(
-            image, ax=main, label=_colour_label(evolution), aspect=22, pad=0.02, extend=extend, use_gridspec=False
-        )
+        bar: dict[str, Any] = {"aspect": 22, "pad": 0.02, "extend": "both" if beyond else "neither"}
+        figure.colorbar(image, ax=main, label=_colour_label(evolution), use_gridspec=False, **bar)
     if profile:
         _draw_profile(figure.add_subplot(grid[0, 0], sharey=main), evolution)
     for row, draw in enumerate(below, start=1):
@@ -93,10 +92,6 @@ def spacetime_figure(
     model = style.title(evolution.model, evolution.parameters)
     figure.suptitle("; ".join(words for words in (title, model) if words))
     return style.finished(figure, (main,) if few else (), FEW_STATES)
-
-
-def _has_few_states(evolution: Evolution) -> bool:
-    return not evolution.equations.positions and evolution.states.shape[1] <= FEW_STATES
 
 
 def _shown(evolution: Evolution) -> Array:
@@ -137,17 +132,14 @@ def draw_spacetime(axes: Axes, evolution: Evolution, orbit: Orbit | None = None)
         edges, y = _edges(evolution.t[::every]), shown[::every]
     places = np.arange(shown.shape[1] + 1) + 0.5
     image = axes.pcolormesh(edges, places, y.T, cmap=COLOUR_MAP, vmin=lowest, vmax=largest, rasterized=True)
-    axes.set(xlim=(edges[0], edges[-1]), ylim=(places[0], places[-1]), ylabel=_rows_label(evolution))
+    rows = style.position_label(evolution.model) if evolution.equations.positions else "state $n$"
+    axes.set(xlim=(edges[0], edges[-1]), ylim=(places[0], places[-1]), ylabel=rows)
     axes.tick_params(top=False, right=False, direction="out")
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True, min_n_ticks=1, steps=[1, 2, 4, 5, 10]))
     return image
 
 
-def _rows_label(evolution: Evolution) -> str:
-    return style.position_label(evolution.model) if evolution.equations.positions else "state $n$"
-
-
-def _largest(evolution: Evolution, orbit: Orbit | None = None) -> float:
+def _largest(evolution: Evolution, orbit: Orbit | None) -> float:
     """Value of the brightest colour: the range of the orbit, at most the edge of a well beyond which states escape."""
     shown = _shown(evolution)
     if orbit is not None:
@@ -167,20 +159,15 @@ def _draw_profile(axes: Axes, evolution: Evolution) -> None:
     axes.margins(x=0.15)
 
 
-def _distance_of(orbit: Orbit | None) -> Callable[[Axes, Evolution], None]:
-    """Draws the distance of a motion from an orbit, on a logarithmic scale."""
+def _draw_distance(orbit: Orbit, axes: Axes, evolution: Evolution) -> None:
+    """The distance of a motion from an orbit, on a logarithmic scale."""
+    from matplotlib.ticker import NullFormatter
 
-    def draw(axes: Axes, evolution: Evolution) -> None:
-        from matplotlib.ticker import NullFormatter
-
-        assert orbit is not None
-        distance = distance_from_orbit(orbit, evolution)
-        known = np.isfinite(distance) & (distance > 0.0)
-        axes.plot(evolution.t[known], distance[known], lw=0.8, color="black")
-        axes.set(yscale="log", ylabel="distance")
-        axes.yaxis.set_minor_formatter(NullFormatter())
-
-    return draw
+    distance = distance_from_orbit(orbit, evolution)
+    known = np.isfinite(distance) & (distance > 0.0)
+    axes.plot(evolution.t[known], distance[known], lw=0.8, color="black")
+    axes.set(yscale="log", ylabel="distance")
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_energy(axes: Axes, evolution: Evolution) -> None:
@@ -279,11 +266,9 @@ def spreading_figure(found: Spreading, lattice: Lattice) -> Figure:
     largest = float(np.max(energies)) or 1.0
     figure = style.blank(6.2, 6.0)
     panels = figure.subplot_mosaic([["a"], ["a"], ["b"], ["c"]], sharex=True)
-    numbers, norm = np.arange(1, len(energies) + 1), LogNorm(largest * 10.0**-SPREADING_DECADES, largest)
-    look: dict[str, Any] = {"cmap": COLOUR_MAP, "norm": norm, "shading": "nearest", "rasterized": True}
-    drawn = panels["a"].pcolormesh(
-        found.t[::step], numbers, np.maximum(energies, largest * 10.0**-SPREADING_DECADES), **look
-    )
+    numbers, least = np.arange(1, len(energies) + 1), largest * 10.0**-SPREADING_DECADES
+    look: dict[str, Any] = {"norm": LogNorm(least, largest), "shading": "nearest", "rasterized": True}
+    drawn = panels["a"].pcolormesh(found.t[::step], numbers, np.maximum(energies, least), cmap=COLOUR_MAP, **look)
     panels["a"].set_ylabel("site" if len(lattice.declaration.cells) == 1 else "site, along rows")
     figure.colorbar(drawn, ax=panels["a"], label="energy of the site", use_gridspec=False)
     several = found.centre.shape[1] > 1

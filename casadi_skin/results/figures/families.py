@@ -82,7 +82,7 @@ def label_ends(axes: Axes, branches: Sequence[Branch], ends: Array) -> None:
     """Write each family's mode where its line ends; of those at the right outside the frame, apart from each other."""
     (low, high), right = axes.get_ylim(), axes.get_xlim()[1]
     heights = (ends[:, 1] - low) / (high - low)
-    outside = [int(i) for i in np.argsort(heights, kind="stable") if ends[i, 0] > 0.97 * right]
+    outside = [i for i in np.argsort(heights, kind="stable").tolist() if ends[i, 0] > 0.97 * right]
     inside = set(range(len(branches))) - set(outside)
     outside = outside[:: -(-len(outside) // MOST_LABELS) or 1]
     gap, places = 0.048 if len(outside) < 22 else 1.0 / MOST_LABELS, heights[outside]
@@ -292,11 +292,10 @@ def _draw_profiles(
             powers = np.concatenate([mode_logs, *logs.values()])
             if np.nanmax(powers) - np.nanmin(powers) > DECADES_OF_TICKS:
                 axes.yaxis.set_minor_locator(NullLocator())
-    panels[0].axhline(0.0, color="0.45", lw=0.5, zorder=0)
-    panels[0].set_title(f"$j = {coordinates.mode_number}$", loc="left", y=1.0)
-    panels[0].set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
-    for axes in panels[1:]:
         axes.set_ylabel(r"$|y_n(0)|\,/\,\Vert y\Vert$")
+    first.axhline(0.0, color="0.45", lw=0.5, zorder=0)
+    first.set_title(f"$j = {coordinates.mode_number}$", loc="left", y=1.0)
+    first.set_ylabel(r"$y_n(0)\,/\,\Vert y\Vert$")
 
 
 @style.drawn
@@ -324,8 +323,7 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     profiles = np.array([orbit.evaluate(0.0, shown) for _, orbits in chosen for orbit in orbits.values()])
     logs = np.array([_logarithms(orbit) for _, orbits in chosen for orbit in orbits.values()])
     steep = bool(np.any(np.nanmax(logs, axis=1) > np.nanmin(logs, axis=1) + 3.0))
-    keys = sorted({key for _, orbits in chosen for key in orbits})
-    rows, columns = len(chosen), 2 if steep else 1
+    keys, rows, columns = sorted({key for _, orbits in chosen for key in orbits}), len(chosen), 1 + steep
     looks = _looks(keys, shown.size <= style.MARKED_SITES)
     figure = style.blank(3.7 * columns, 0.9 + (2.6 if rows == 1 else 1.5 * rows))
     panels = figure.subplots(rows, columns, sharex="col", squeeze=False)
@@ -379,8 +377,7 @@ def plane_figure(branch: Branch) -> Figure | None:
             extent = (0.5, rows + 0.5, 0.5, columns + 0.5)
             image = panel.imshow(values.T, cmap=colours, vmin=low, vmax=high, origin="lower", extent=extent)
             figure.colorbar(image, ax=panel, shrink=0.8, use_gridspec=False)
-            panel.set_title(words)
-            panel.set_xlabel("cell $n$")
-            panel.set_ylabel("cell $m$" if len(lattice.declaration.sites) == 1 else "sites along $m$")
+            across = "cell $m$" if len(lattice.declaration.sites) == 1 else "sites along $m$"
+            panel.set(title=words, xlabel="cell $n$", ylabel=across)
     figure.suptitle(style.title(lattice, style.family(branch).coordinates.parameters))
     return style.finished(figure, (), 1)

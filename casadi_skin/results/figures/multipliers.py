@@ -112,15 +112,9 @@ def draw_angles(axes: Axes, diagram: StabilityDiagram) -> None:
     for kind, marker, words in (("complex", "D", "collision"), ("real", "s", "real pair")):
         places = [(e.S, e.angle / np.pi) for e in diagram.changes if e.kind == kind]
         if places:
-            mark: dict[str, Any] = {
-                "ms": 3.6,
-                "mfc": "white",
-                "mec": "black",
-                "mew": 0.7,
-                "zorder": 4,
-                "clip_on": False,
-            }
-            axes.plot(*np.transpose(places), marker, ls="none", label=f"stability changes: {words}", **mark)
+            mark: dict[str, Any] = {"ms": 3.6, "mfc": "white", "mec": "black", "mew": 0.7, "ls": "none"}
+            words = f"stability changes: {words}"
+            axes.plot(*np.transpose(places), marker, label=words, zorder=4, clip_on=False, **mark)
     if diagram.further:
         further = np.array([(e.S, e.angle / np.pi) for e in diagram.further])
         axes.plot(*further.T, ".", ms=2.0, color="0.3", label="of orbits that are unstable already", zorder=3)
@@ -193,10 +187,8 @@ def _draw_between_points(axes: Axes, branch: Branch) -> None:
         line.append((value, orbit.floquet().max_abs_multiplier))
     axes.plot(*np.transpose(line), color=style.colours(1)[0], lw=1.3, label=f"largest {MODULUS_LABEL}", zorder=2)
     for change in branch.located:
-        dashes = "-" if change.kind == "real" else "--"
-        axes.axvline(
-            change.value, color="0.4", lw=0.6, ls=dashes, label=f"change of stability ({change.kind})", zorder=0
-        )
+        look: dict[str, Any] = {"color": "0.4", "lw": 0.6, "ls": "-" if change.kind == "real" else "--", "zorder": 0}
+        axes.axvline(change.value, label=f"change of stability ({change.kind})", **look)
 
 
 def draw_plane(axes: Axes, floquet: Floquet) -> None:
@@ -236,16 +228,12 @@ def _draw_waves(axes: Axes, tail: CutTail) -> None:
             words = label if i == 0 else "_"
             axes.plot(radius * np.cos(angle), radius * np.sin(angle), label=words, solid_capstyle="butt", **look)
 
-    arcs = [(float(start), float(end)) for start, end in tail.continuous.arcs]
     for sign, radius in ((1, 1.07), (-1, 0.93)):
         colour, dashes, words = SIGNATURE_LOOKS[sign]
-        turned = [(sign * start, sign * start + (end - start) * sign) for start, end in arcs]
-        ordered = [(min(pair), max(pair)) for pair in turned]
-        draw(ordered, radius, f"waves, {words}", color=colour, lw=1.6, ls=dashes, zorder=2)
-    overlaps = [overlap.angles for overlap in tail.continuous.overlaps]
-    draw(
-        [pair for a, b in overlaps for pair in ((a, b), (-b, -a))], 1.0, "waves of both", color="0.7", lw=3.0, zorder=1
-    )
+        turned = np.sort(sign * tail.continuous.arcs, axis=1).tolist()
+        draw(turned, radius, f"waves, {words}", color=colour, lw=1.6, ls=dashes, zorder=2)
+    both = [pair for a, b in (one.angles for one in tail.continuous.overlaps) for pair in ((a, b), (-b, -a))]
+    draw(both, 1.0, "waves of both", color="0.7", lw=3.0, zorder=1)
     if tail.finite_size.size:
         values = tail.of_finite_size.others
         label = f"finite-size, {tail.sites} sites"
@@ -297,10 +285,8 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
         words = rf"{_place(branch, value, passage)}, max $\left|\lambda\right| = {style.number(largest, 4)}$"
         panels[letter].set_title(f"({letter})  {words}", loc="left", y=1.0)
         panels["a"].plot(value, largest, "o", ms=5, mfc="white", mec="black", zorder=5, clip_on=False)
-        box = {"fc": "white", "ec": "none", "pad": 0.5}
-        panels["a"].annotate(
-            letter, (value, largest), (-5, 6), textcoords="offset points", ha="right", bbox=box, zorder=6
-        )
+        look: dict[str, Any] = {"ha": "right", "bbox": {"fc": "white", "ec": "none", "pad": 0.5}, "zorder": 6}
+        panels["a"].annotate(letter, (value, largest), (-5, 6), textcoords="offset points", **look)
     figure.suptitle(_title(branch, title))
     return style.finished(figure, panels.values(), 3, plain=True)
 

@@ -116,13 +116,12 @@ CHOSEN_ORBITS = 4  # orbits of a branch, by default
 
 
 @style.drawn
-def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tuple[int, int] = (0, 1)) -> Figure:
-    """Orbits and equilibria in the plane of two states, and the first of these against time.
+def portrait_figure(solutions: Sequence[Solution], title: str = "") -> Figure:
+    """Orbits and equilibria in the plane of the first two states, and the first of these against time.
 
     Arguments:
-        solutions: one to six of one model.
+        solutions: one to six of one model; of one state alone time courses are drawn.
         title: stands in place of the name of the model.
-        states: places of the two states among their names, from 0; of one state alone time courses are drawn.
 
     Returns:
         The figure; solutions are labelled by the parameters in which they differ.
@@ -132,7 +131,7 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
     """
     if not 1 <= len(solutions) <= MOST_SOLUTIONS:
         raise ValueError(f"solutions: given {len(solutions)}; accepted: 1 to {MOST_SOLUTIONS}")
-    names = solutions[0].space.state_names
+    names = [style.plain(name) for name in solutions[0].space.state_names[:2]]
     in_plane = len(names) > 1
     words, common = _words(solutions)
     longest = max((s.interval[1] for s in solutions), default=0.0) or 1.0
@@ -144,13 +143,13 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "", states: tupl
         at_rest = solution.space.connects == EQUILIBRIA
         t = np.array([0.0, longest]) if at_rest else times(solution)
         x = solution.evaluate(t)
-        axes[0].plot(t, x[:, states[0]], color=colour, ls=dashes, lw=1.4, label=label)
+        axes[0].plot(t, x[:, 0], color=colour, ls=dashes, lw=1.4, label=label)
         if in_plane:
             look = {"marker": "o", "ms": 5, "mec": "black", "ls": "none"} if at_rest else {"ls": dashes, "lw": 1.4}
-            axes[1].plot(*x[:, list(states)].T, color=colour, label=label, **look)
-    axes[0].set(xlabel="t", ylabel=style.plain(names[states[0]]))
+            axes[1].plot(*x[:, :2].T, color=colour, label=label, **look)
+    axes[0].set(xlabel="t", ylabel=names[0])
     if in_plane:
-        axes[1].set(xlabel=style.plain(names[states[0]]), ylabel=style.plain(names[states[1]]))
+        axes[1].set(xlabel=names[0], ylabel=names[1])
     figure.suptitle(style.title(solutions[0].space.model, common, title))
     return style.finished(figure, axes, 3, plain=True)
 
@@ -173,20 +172,14 @@ def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:
 
 def _words(solutions: Sequence[Solution]) -> tuple[list[str], dict[str, float]]:
     """A label for each solution, by the parameters in which they differ, and the parameters that they share."""
-    first = solutions[0].parameters
-    shared = {
-        name: value
-        for name, value in first.items()
-        if all(name in s.parameters and s.parameters[name] == value for s in solutions)
-    }
-    labels = []
+    first, labels = solutions[0].parameters, list[str]()
+    shared = dict(set(first.items()).intersection(*(solution.parameters.items() for solution in solutions)))
     for solution in solutions:
         own = {name: value for name, value in solution.parameters.items() if name in first and name not in shared}
-        values = ", ".join(f"{style.plain(name)} = {value:.4g}" for name, value in own.items())
-        known = getattr(solution, "period", None)
-        words = ", at rest" if known is None else f", period {known:.4g}"
-        labels.append(f"{values}{words}".removeprefix(", "))
-    return labels, shared
+        period = getattr(solution, "period", None)
+        values = [f"{style.plain(name)} = {value:.4g}" for name, value in own.items()]
+        labels.append(", ".join([*values, "at rest" if period is None else f"period {period:.4g}"]))
+    return labels, {name: value for name, value in first.items() if name in shared}
 
 
 # An orbit in motion as a film, GIF or MP4, through matplotlib: the displacements of a lattice, or a phase plane -------

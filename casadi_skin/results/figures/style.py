@@ -35,6 +35,7 @@ PANEL_GAP_POINTS = 4.0  # points between panels, and around all
 POINTS_PER_INCH = 72.0  # in an inch
 TICK_PAD, TITLE_PAD = 3.5, 6.0  # points between an axis and its labels, as matplotlib has them
 OFFSET_HEIGHT = 13.0  # points: of the power of ten above an axis
+Size = Callable[["Text | Legend | str"], tuple[float, float]]  # width and height in points
 
 
 def lay_out(figure: Figure, plain: bool) -> None:
@@ -51,9 +52,9 @@ def lay_out(figure: Figure, plain: bool) -> None:
     renderer: Any = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
     renderer.mathtext_parser = _parser()
     if plain:
-        ruler = _Ruler(figure, renderer)
+        size_of = _ruler(figure, renderer)
         for _ in range(2):  # ticks depend on places
-            _place(figure, ruler)
+            _place(figure, renderer, size_of)
     else:
         ConstrainedLayoutEngine().execute(figure)
     for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
@@ -69,45 +70,31 @@ def _parser() -> Any:
     return RendererAgg(1, 1, POINTS_PER_INCH).mathtext_parser  # type: ignore[no-untyped-call]
 
 
-class _Ruler:
-    """Widths and heights in points of the texts of a figure, which do not depend on places: each is measured once."""
+def _ruler(figure: Figure, renderer: Any) -> Size:
+    """Gives width and height in points of a text, a legend, or the label of a tick, each of which is measured once."""
+    from matplotlib.text import Text
 
-    def __init__(self, figure: Figure, renderer: Any) -> None:
-        self.figure, self.renderer, self.points = figure, renderer, figure.dpi / POINTS_PER_INCH
-        self._known: dict[Any, tuple[float, float]] = {}
+    @cache
+    def size_of(shown: Text | Legend | str) -> tuple[float, float]:
+        artist = Text(text=shown, figure=figure) if isinstance(shown, str) else shown
+        box, points = artist.get_window_extent(renderer), figure.dpi / POINTS_PER_INCH
+        return box.width / points, box.height / points
 
-    def of(self, artist: Text | Legend) -> tuple[float, float]:
-        """Of a text or a legend."""
-        if artist not in self._known:
-            self._known[artist] = self._measured(artist)
-        return self._known[artist]
-
-    def of_tick(self, label: str) -> tuple[float, float]:
-        """Of the label of a tick."""
-        from matplotlib.text import Text
-
-        if label not in self._known:
-            self._known[label] = self._measured(Text(text=label, figure=self.figure))
-        return self._known[label]
-
-    def _measured(self, artist: Text | Legend) -> tuple[float, float]:
-        box = artist.get_window_extent(self.renderer)
-        return box.width / self.points, box.height / self.points
+    return size_of
 
 
-def _place(figure: Figure, ruler: _Ruler) -> None:
+def _place(figure: Figure, renderer: Any, size_of: Size) -> None:
     """Places of all panels, and of the title of the figure."""
-    width, height = figure.bbox.width / ruler.points, figure.bbox.height / ruler.points
-    bottom = sum(ruler.of(legend)[1] + PANEL_GAP_POINTS for legend in figure.legends)
+    width, whole = figure.get_size_inches() * POINTS_PER_INCH
+    height, bottom = whole, sum(size_of(legend)[1] + PANEL_GAP_POINTS for legend in figure.legends)
     for title in figure.texts:  # the title alone
         title.set_y(1.0 - PANEL_GAP_POINTS / height)
-        height -= ruler.of(title)[1] + PANEL_GAP_POINTS
+        height -= size_of(title)[1] + PANEL_GAP_POINTS
     specs = [spec for axes in figure.axes if (spec := axes.get_subplotspec()) is not None]
-    grid, rooms = specs[0].get_gridspec(), np.array([_room(axes, ruler) for axes in figure.axes])
+    grid, rooms = specs[0].get_gridspec(), np.array([_room(axes, renderer, size_of) for axes in figure.axes])
     columns, rows = [spec.colspan for spec in specs], [spec.rowspan for spec in specs]
     across = _spread(width, columns, rooms[:, :2], grid.get_width_ratios())
     down = height - _spread(height - bottom, rows, rooms[:, 2:], grid.get_height_ratios())
-    whole = figure.bbox.height / ruler.points
     for axes, (left, right), (upper, lower) in zip(figure.axes, across, down, strict=True):
         axes.set_position((left / width, lower / whole, (right - left) / width, (upper - lower) / whole))
 
@@ -130,29 +117,30 @@ def _spread(length: float, spans: Sequence[range], rooms: Array, ratios: Any) ->
     return np.array([(ends[span[0]] - cells[span[0]], ends[span[-1]]) for span in spans])
 
 
-def _room(axes: Axes, ruler: _Ruler) -> tuple[float, float, float, float]:
+def _room(axes: Axes, renderer: Any, size_of: Size) -> tuple[float, float, float, float]:
     """Space for labels at the left, right, upper and lower side of a panel, in points."""
     from matplotlib.text import Annotation, Text
     from matplotlib.transforms import ScaledTranslation
 
     x, y, inches = axes.xaxis, axes.yaxis, axes.get_figure().dpi_scale_trans  # type: ignore[union-attr]
-    (wide, low), (left, high) = _ticks(x, ruler), _ticks(y, ruler)
+    (wide, low), (left, high) = _ticks(x, size_of), _ticks(y, size_of)
     beside, below = left + y.labelpad, low + x.labelpad
     y.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-beside / POINTS_PER_INCH, 0.0, inches))
     x.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0.0, -below / POINTS_PER_INCH, inches))
     titles = [text for text in axes.get_children() if isinstance(text, Text) and text not in axes.texts]
-    above = [ruler.of(title)[1] + TITLE_PAD for title in titles if title.get_text()]
+    above = [size_of(title)[1] + TITLE_PAD for title in titles if title.get_text()]
     outside = [text for text in axes.texts if isinstance(text, Annotation) and text.get_annotation_clip() is False]
-    beyond = [(text.get_window_extent(ruler.renderer).x1 - axes.bbox.x1) / ruler.points for text in outside]
+    points = renderer.dpi / POINTS_PER_INCH
+    beyond = [(text.get_window_extent(renderer).x1 - axes.bbox.x1) / points for text in outside]
     return (
-        beside + ruler.of(y.label)[0] if axes.get_ylabel() else left,
+        beside + size_of(y.label)[0] if axes.get_ylabel() else left,
         max(0.5 * wide, *beyond, 0.0),
         max(above, default=0.5 * high) + OFFSET_HEIGHT * bool(y.get_major_formatter().get_offset()),
-        below + ruler.of(x.label)[1] if axes.get_xlabel() else low,
+        below + size_of(x.label)[1] if axes.get_xlabel() else low,
     )
 
 
-def _ticks(axis: Axis, ruler: _Ruler) -> tuple[float, float]:
+def _ticks(axis: Axis, size_of: Size) -> tuple[float, float]:
     """Width and height of the largest label of the ticks of an axis in points, with their distance from the axis."""
     if not any(axis.get_tick_params().get(name) for name in ("labelbottom", "labelleft")):
         return 0.0, 0.0
@@ -164,7 +152,7 @@ def _ticks(axis: Axis, ruler: _Ruler) -> tuple[float, float]:
     ):
         labels = formatter.format_ticks(list(places))
         shown = {label for label, place in zip(labels, places, strict=True) if label and low <= place <= high}
-        sizes += [ruler.of_tick(label) for label in shown]
+        sizes += map(size_of, shown)
     (width, height), along = np.max(sizes, axis=0), axis is axis.axes.xaxis
     return float(width) + TICK_PAD * (not along), float(height) + TICK_PAD * along
 
@@ -373,9 +361,7 @@ def _draw(figure: Figure, kind: str, stream: BytesIO) -> None:
 # PNG files of opaque pictures: rows as they are, which zlib packs smaller than rows filtered as photographs are -------
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-PNG_RGB_HEADER = bytes(
-    [8, 2, 0, 0, 0]
-)  # eight bits a channel, three channels, deflated, filters by row, not interlaced
+PNG_RGB_HEADER = bytes((8, 2, 0, 0, 0))  # eight bits a channel, three of them, deflated, filters by row, not interlaced
 DEFLATE_LEVEL = 3  # levels above take long and gain little
 INCH_METRES = 0.0254  # metres
 
