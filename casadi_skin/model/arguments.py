@@ -47,6 +47,11 @@ class _Short(reprlib.Repr):
     repr_MX = repr_SX
 
 
+def in_words(error: BaseException) -> str:
+    """The message of an error in one line; the name of its class where it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def with_error(value: float, error: float) -> str:
     """A number to the second digit of its error, or to 12 digits, and the error with two."""
     digits = MOST_DIGITS

@@ -18,6 +18,7 @@ import numpy as np
 from casadi_skin.follow.follow import BranchIterator
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import SolutionSpace
+from casadi_skin.model.arguments import in_words
 from casadi_skin.results.store import DAMAGED_FILE_ERRORS, Reader, SavedResult, Writer
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.zero.kinds import Unresolved
@@ -116,10 +117,6 @@ def stability_record(branch: str, number: int, orbit: Solution) -> StabilityReco
     return StabilityRecord(branch, number, data_of(orbit.floquet()))
 
 
-def _words(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
-
-
 @dataclass
 class Known:
     """The record of a branch in a journal.
@@ -163,7 +160,7 @@ def _known(held: Sequence[HeldRecord], space: SolutionSpace, stability: bool) ->
         try:
             known.fault = _taken(record, known, space, stability)
         except DAMAGED_FILE_ERRORS as error:
-            known.fault = _words(error)
+            known.fault = in_words(error)
         if known.fault:
             break
         known.kept += 1

@@ -19,7 +19,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice, LongLattice
-from casadi_skin.model.arguments import cut, file_path, short_repr
+from casadi_skin.model.arguments import cut, file_path, in_words, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import from_operations, to_operations
@@ -36,6 +36,7 @@ from casadi_skin.results.store import (
     mapped,
     name_of,
     read_records,
+    written,
 )
 from casadi_skin.zero.orbit import Extended, extended
 from casadi_skin.zero.statement import Statement
@@ -126,7 +127,7 @@ def read_result(path: str | Path, *, model: Any = None) -> Any:
     except OSError as error:
         raise ValueError(f"{source}: cannot be read: {error.strerror}; {ACCEPTED_RESULTS}") from None
     except DAMAGED_FILE_ERRORS as error:
-        reason = cut(" ".join(str(error).split()) or type(error).__name__, 200)
+        reason = cut(in_words(error), 200)
         raise ValueError(f"{source}: not a result saved by casadi_skin: {reason}; {ACCEPTED_RESULTS}") from error
 
 
@@ -184,12 +185,8 @@ def _(value: EquationsOfMotion, writer: Writer) -> Any:
     return ["motion", writer.value(value.model), values]
 
 
-@written_once.register(Chain)
-@written_once.register(LongLattice)
-def _of_chain(value: Any, writer: Writer) -> Any:
-    return ["object", name_of(value), writer.named_fields(value)]
-
-
+written_once.register(Chain, written.dispatch(object))  # as other dataclasses
+written_once.register(LongLattice, written.dispatch(object))
 written_once.register(FmuModel, lambda value, _: ["fmu", identity(value), noises(value)])
 written_once.register(Family, lambda value, writer: ["family", writer.value(value.request)])
 
@@ -232,15 +229,9 @@ def _statement(
     taken = iter(at_symbols(columns, scalars, symbols))
     parts = {name: [next(taken) for _ in range(count)] for name, count in counts.items()}
     ends: list[Any] = [float(end) if is_plain else end for end, is_plain in zip(parts["interval"], plain, strict=True)]
-    statement = Statement(
-        model,
-        tuple(parts["conditions"]),
-        tuple(parts["integrals"]),
-        (ends[0], ends[1]),
-        **reader.named(numbers),
-        objective=next(iter(parts["objective"]), None),
-        running=next(iter(parts["running"]), None),
-    )
+    conditions, integrals, interval = tuple(parts["conditions"]), tuple(parts["integrals"]), (ends[0], ends[1])
+    costs: dict[str, Any] = {name: next(iter(parts[name]), None) for name in ("objective", "running")}
+    statement = Statement(model, conditions, integrals, interval, **reader.named(numbers), **costs)
     vars(statement)["_time"] = time  # the symbol that the integrals are written in
     return statement
 

@@ -73,8 +73,8 @@ def write_series(found: Sequence[FamilySeries], directory: Path, attributes: Map
     """Write series.csv, with the radius of convergence where it is known, and series.nc, with the profiles."""
     rows = list[dict[str, Cell]]()
     for s in found:
-        known = s.variable, *((s.radius, s.radius_error) if np.isfinite(s.radius) else ("", ""))
-        ends, columns = dict(zip(("variable", "radius", "radius_error"), known, strict=True)), series_columns(s)
+        radius, error = (s.radius, s.radius_error) if np.isfinite(s.radius) else ("", "")
+        ends, columns = {"variable": s.variable, "radius": radius, "radius_error": error}, series_columns(s)
         rows += [{**{name: v[k].item() for name, v in columns.items()}, **ends} for k in range(s.order + 1)]
     write_csv(directory / "series.csv", list(rows[0]), rows)
     along, of = ("order", "harmonic", "position"), f"in powers of {found[0].variable}"
@@ -124,25 +124,18 @@ def edge_rows(mode: int, diagram: StabilityDiagram, edges: Sequence[StabilityEdg
     """Rows of edges of tongues, and of changes of localised multipliers, which bound none."""
     for e in edges:
         signatures = "".join("+" if sign > 0 else "-" for sign in e.signatures)
+        tongue = ("", "", "") if e.tongue is None else (e.tongue + 1, e.width, diagram.tongues[e.tongue].growth)
         values: tuple[Cell, ...] = (
             mode, e.S, e.Omega, e.kind, int(e.stable_before), int(e.stable_after), e.mu, e.S_width,
-            e.S_error, e.multiplier.real, e.multiplier.imag, signatures, *_of_tongue(diagram, e),
+            e.S_error, e.multiplier.real, e.multiplier.imag, signatures, *tongue,
         )  # fmt: skip
         yield dict(zip(EVENT_COLUMNS, values, strict=True))
 
 
-def _of_tongue(diagram: StabilityDiagram, edge: StabilityEdge) -> tuple[Cell, Cell, Cell]:
-    """Number, width and growth of the tongue that an edge bounds."""
-    if edge.tongue is None:
-        return "", "", ""
-    return edge.tongue + 1, edge.width, diagram.tongues[edge.tongue].growth
-
-
 def _unresolved(mode: int, stretch: Unresolved) -> dict[str, Cell]:
-    known = np.isfinite([stretch.S_start, stretch.S_end]).all()
-    row: dict[str, Cell] = dict.fromkeys(EVENT_COLUMNS, "")
-    start, width = (stretch.S_start, abs(stretch.S_end - stretch.S_start)) if known else ("", "")
-    return {**row, "mode": mode, "S": start, "kind": UNRESOLVED, "S_width": width}
+    row: dict[str, Cell] = {**dict.fromkeys(EVENT_COLUMNS, ""), "mode": mode, "kind": UNRESOLVED}
+    known = math.isfinite(width := abs(stretch.S_end - stretch.S_start))
+    return {**row, "S": stretch.S_start, "S_width": width} if known else row
 
 
 def tongue_rows(mode: int, diagram: StabilityDiagram) -> list[dict[str, Cell]]:
@@ -162,11 +155,10 @@ def _tongue(mode: int, number: Cell, t: Tongue) -> dict[str, Cell]:
 
 
 def edge_columns(curve: EdgeCurve) -> dict[str, Any]:
-    """dict[str, Any] of a curve of edges: parameters, S with its error, Omega, mu and the kind."""
-    columns: dict[str, Any] = {"point": np.arange(len(curve))}
-    columns |= {name: curve[name] for name in curve.points[0].parameters}
-    columns |= {"S_error": curve.errors, "Omega": np.array([point.edge.Omega for point in curve])}
-    return columns | {"mu": np.array([point.edge.mu for point in curve])}
+    """Columns of a curve of edges: parameters, S with its error, Omega and mu."""
+    parameters = {name: curve[name] for name in curve.points[0].parameters}
+    Omega, mu = np.array([(point.edge.Omega, point.edge.mu) for point in curve]).T
+    return {"point": np.arange(len(curve)), **parameters, "S_error": curve.errors, "Omega": Omega, "mu": mu}
 
 
 # Special points of a single branch, of the branches of a diagram, and of families with what leaves them ---------------
@@ -262,12 +254,9 @@ def gradient_rows(
             failures.append(f"gradient: {error}")
             continue
         for parameter, slope in found.items():
-            values = name, point.kind, point.parameter, found.value, parameter, _finite(slope), found.errors[parameter]
+            known = slope if math.isfinite(slope) else ""
+            values = name, point.kind, point.parameter, found.value, parameter, known, found.errors[parameter]
             yield dict(zip(GRADIENT_COLUMNS, values, strict=True))
-
-
-def _finite(value: float) -> Cell:
-    return value if math.isfinite(value) else ""
 
 
 # Files of a design: design.csv (optima), design_path.csv (the way to each), design.nc --------------------------------
@@ -285,14 +274,13 @@ def design_row(design: Design, rank: int) -> dict[str, Cell]:
 
 def write_design(design: Design, directory: Path, scene_text: str, title: str) -> None:
     """Write design.csv, design_path.csv and, of a family, design.nc."""
-    every = (design, *design.others)
-    rows = [design_row(one, rank) for rank, one in enumerate(every, start=1)]
+    every, rows, steps = (design, *design.others), list[dict[str, Cell]](), list[dict[str, Cell]]()
+    for rank, one in enumerate(every, start=1):
+        rows.append(design_row(one, rank))
+        for k, (value, place) in enumerate(zip(one.values, one.path.tolist(), strict=True), start=1):
+            at = dict(zip(one.parameters, place, strict=True))
+            steps.append({"rank": rank, "design": k, "value": float(value), **at})
     write_csv(directory / "design.csv", list(rows[0]), rows)
-    steps: list[dict[str, Cell]] = [
-        {"rank": rank, "design": k, "value": float(value), **dict(zip(one.parameters, map(float, p), strict=True))}
-        for rank, one in enumerate(every, start=1)
-        for k, (value, p) in enumerate(zip(one.values, one.path, strict=True), start=1)
-    ]
     write_csv(directory / "design_path.csv", list(steps[0]), steps)
     if isinstance(design.solution, CosineOrbit):
         known = {"title": title, "scene": scene_text, **versions(), "design_quantity": design.quantity}

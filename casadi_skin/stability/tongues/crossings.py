@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from casadi_skin.model.arguments import in_words
 from casadi_skin.stability.tongues import chebyshev
 from casadi_skin.stability.tongues.blocks import (
     MIDDLE_NODE,
@@ -28,7 +29,6 @@ from casadi_skin.stability.tongues.interpolation import (
     Gap,
     MatrixSeries,
     Search,
-    in_words,
 )
 from casadi_skin.stability.tongues.pairs import Block, complex_blocks, find_segments, real_blocks
 from casadi_skin.stability.tongues.rotation import Spectrum

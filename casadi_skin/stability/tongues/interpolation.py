@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.polynomial import Chebyshev
 
+from casadi_skin.model.arguments import in_words
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.multipliers import reduced_matrices
 from casadi_skin.stability.tongues import chebyshev
@@ -266,11 +267,6 @@ def interpolate(branch: BranchSampler, tolerance: float, known: Search, first: f
                 known.gaps.append(Gap(at, stop, reason))
                 at, shortest = stop, min(2.0 * shortest, SKIPPED_STRETCH * (end - start))
                 plan = _Plan(tolerance, longest=shortest)  # one try each until the branch goes on
-
-
-def in_words(error: Exception) -> str:
-    """The message of an error in one line."""
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def joined(gaps: Sequence[Gap]) -> list[Gap]:
