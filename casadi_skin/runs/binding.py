@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.lattice.lattice import Lattice, LongLattice
+from casadi_skin.lattice.lattice import Bond, Lattice, LongLattice, Site, Uniform
 from casadi_skin.model.arguments import check_way
 from casadi_skin.model.conserved import pinned_components, symmetry_class
 from casadi_skin.model.jumps import JumpError
@@ -22,10 +22,10 @@ from casadi_skin.runs.request import Numbers, Request, state_of
 from casadi_skin.runs.rules import (
     KICKS,
     Rules,
-    SceneError,
     check_known,
     check_rules,
     faults_at,
+    in_file,
     placed,
     refusal,
     toml_repr,
@@ -42,10 +42,8 @@ Files = dict[tuple[Path, str | None], tuple[str, dict[str, Any], Any]]  # text, 
 
 def bound(scene: Scene, path: Path) -> Request:
     """The request of a scene; raises SceneError that begins with its file."""
-    try:
+    with in_file(path):
         return bind(scene, path)
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from None
 
 
 def bind(scene: Scene, scene_path: Path, files: Files | None = None) -> Request:
@@ -86,8 +84,6 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
 
     Raises ValueError and TypeError, with the place in the table.
     """
-    from casadi_skin.lattice.lattice import Bond, Lattice, Site, Uniform
-
     sites: list[Any] = [Site(**asdict(site)) for site in table.site]
     bonds: list[Any] = [Bond(**asdict(bond)) for bond in table.bond]
     values: dict[str, Any] = {
@@ -97,8 +93,6 @@ def lattice_of(table: LatticeTable) -> Lattice | LongLattice:
     cells: Any = table.cells
     if not table.long:
         return Lattice(cells, sites, bonds, table.boundary, values, forcing_period=table.forcing_period)
-    from casadi_skin.lattice.lattice import LongLattice
-
     cells = cells[0] if isinstance(cells, tuple) and len(cells) == 1 else cells
     boundary: Any = table.boundary[0] if isinstance(table.boundary, tuple) else table.boundary
     return LongLattice(cells, sites, bonds, boundary, values, table.edge)
@@ -262,17 +256,17 @@ def _of_families(request: Request) -> Rules:
 
 def _check_perturbation(request: Request) -> None:
     """Raises SceneError for a start, or a perturbation, that the states of the model do not have."""
-    table, scene = request.scene.dynamics, request.scene
-    kicks = {key: getattr(table, key, None) for key in KICKS}
-    if table is not None and scene.family is None and scene.orbit is None:
-        from casadi_skin.runs.first_solution import start_near_rest
+    table, kicks = request.scene.dynamics, {key: getattr(request.scene.dynamics, key, None) for key in KICKS}
+    if table is None:
+        return
+    with faults_at("[dynamics] "):
+        if not request.scene.given("family", "orbit"):
+            from casadi_skin.runs.first_solution import start_near_rest
 
-        with faults_at("[dynamics] "):
             start_near_rest(request)
-    elif table is not None and any(kick is not None for kick in kicks.values()):
-        from casadi_skin.dynamics.evolve import unit_direction
+        elif any(kick is not None for kick in kicks.values()):
+            from casadi_skin.dynamics.evolve import unit_direction
 
-        with faults_at("[dynamics] "):
             unit_direction("perturbation", request.equations.state_names, request.equations.size, kicks)
 
 

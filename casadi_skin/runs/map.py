@@ -12,7 +12,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.arguments import file_path, needs_extra, short_repr, truth, whole
+from casadi_skin.model.arguments import file_path, in_words, needs_extra, short_repr, truth, whole
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.model.result import in_turn, renamed
 from casadi_skin.runs.binding import bind
@@ -52,7 +52,7 @@ from casadi_skin.runs.output import Progress
 from casadi_skin.runs.parts import origin
 from casadi_skin.runs.reading import parse_scene, read_text
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.rules import SceneError
+from casadi_skin.runs.rules import in_file
 from casadi_skin.runs.scene import MapTable, Scene
 from casadi_skin.solve.processes import Pool
 from casadi_skin.solve.watch import one_thread, watched
@@ -140,8 +140,7 @@ def _outcome(future: Future[Result], lost: str) -> Result:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # of an engine: cancelled, broken, a worker of it that was killed
-        words = " ".join(str(error).split()) or type(error).__name__
-        return Result(kind=LOST, reason=lost or f"the engine lost it: {words}")
+        return Result(kind=LOST, reason=lost or f"the engine lost it: {in_words(error)}")
 
 
 def local_engine(workers: int) -> Engine:
@@ -157,7 +156,7 @@ def dask_engine(address: str) -> Engine:
     try:
         client: Any = distributed.Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
     except OSError as error:
-        words = f"no scheduler answers within {CONNECT_LIMIT:g} s ({' '.join(str(error).split())})"
+        words = f"no scheduler answers within {CONNECT_LIMIT:g} s ({in_words(error)})"
         raise OSError(errno.ETIMEDOUT, words, address) from None
     known, requested = 0, -math.inf
 
@@ -176,11 +175,9 @@ def dask_engine(address: str) -> Engine:
 
 def given_engine(executor: Executor) -> Engine:
     """An executor of the caller, who ends it."""
-    count = getattr(executor, "_max_workers", None)
+    count, words = getattr(executor, "_max_workers", None), "the executor is broken"
     workers = count if isinstance(count, int) else ASSUMED_WORKERS
-    return Engine(
-        executor, lambda: workers, lambda: "the executor is broken" if getattr(executor, "_broken", False) else ""
-    )
+    return Engine(executor, lambda: workers, lambda: words if getattr(executor, "_broken", False) else "")
 
 
 # A map of a scene from beginning to end: checked, computed by an engine, written --------------------------------------
@@ -218,15 +215,13 @@ class MapRun:
         self._check_options()
         self.text = read_text(self.path)
         self.scene = parse_scene(self.text, str(self.path))
-        try:
+        with in_file(self.path):
             self.grid = Grid.of(self.scene)
             self.request = bind(self.scene, self.path)
             check_quantities(self.request, self.grid)
             named = [pair for pair in self.grid.settings(0) if pair[0][:2] == ("model", "parameters")]
             if named:  # names of the model's parameters
                 bind(scene_at(plain(self.scene), named), self.path)
-        except SceneError as error:
-            raise SceneError(f"{self.path}: {error}") from None
 
     def _check_options(self) -> None:
         """Raises ValueError and TypeError for options that are not accepted, or not together."""
@@ -245,14 +240,13 @@ class MapRun:
             pair: Any = self.part if isinstance(self.part, tuple | list) and len(self.part) == 2 else ()
             whole_numbers = pair and all(isinstance(n, int) and not isinstance(n, bool) for n in pair)
             if not (whole_numbers and 1 <= pair[0] <= pair[1] <= 32767):
-                words = f"part: given {short_repr(self.part)}; accepted: K/N with 1 <= K <= N <= 32767"
-                raise ValueError(words)
+                given = "{}/{}".format(*pair) if whole_numbers else short_repr(self.part)
+                raise ValueError(f"part: given {given}; accepted: K/N with 1 <= K <= N <= 32767, such as 3/20")
             if self.collect:
                 raise ValueError("collect: given beside part; accepted: one of them")
         if self.shared and self.existing is Existing.OVERWRITE:
-            word = "collect" if self.collect else "part"
-            words = f"overwrite: given beside {word}, whose directory holds other shares; accepted: one of them"
-            raise ValueError(words)
+            beside = f"beside {'collect' if self.collect else 'part'}, whose directory holds other shares"
+            raise ValueError(f"overwrite: given {beside}; accepted: one of them")
 
     @property
     def shared(self) -> bool:
@@ -280,11 +274,8 @@ class MapRun:
             held.enter_context(in_use(self.directory, progress.report, self.shared))
             if self.part is not None:
                 held.enter_context(in_use(self.directory, progress.report, part=str(self.part[0])))
-            engine = None if self.collect else self._engine(progress)
-            if engine is not None:
-                held.callback(engine.close)
-            existing = Existing.SHARE if self.shared else self.existing
-            prepare(self.directory, self.request, self.text, existing)
+            engine = None if self.collect else held.enter_context(closing(self._engine(progress)))
+            prepare(self.directory, self.request, self.text, Existing.SHARE if self.shared else self.existing)
             given = self.directory, self.grid, self.scene, None if self.collect else own, progress.report
             found = held.enter_context(Map(*given))
             if self.existing is Existing.RESUME:
@@ -484,10 +475,9 @@ def map_lines(scene: Scene, request: Request, path: Path) -> list[tuple[str, str
     tasks = len(cells) // len(middle.cells)
     computer = Computer(plain(asked(scene, grid)), str(path.resolve()), table.growth)
     chosen = np.linspace(0, len(middle.cells) - 1, min(len(middle.cells), MEASURED_ORBITS)).astype(int).tolist()
-    amplitudes = tuple(middle.amplitudes[i] for i in chosen if middle.amplitudes)
-    values = tuple(middle.values[i] for i in chosen if middle.values)
-    some = tuple(middle.cells[i] for i in chosen)
-    few = msgspec.structs.replace(middle, cells=some, amplitudes=amplitudes, values=values)
+    given = {name: getattr(middle, name) for name in ("cells", "amplitudes", "values")}  # one a cell, or none
+    some = {name: tuple(values[i] for i in chosen if values) for name, values in given.items()}
+    few = msgspec.structs.replace(middle, **some)
     with watched(MEASURED_SECONDS):
         result = computer(few)
         if not result.kind and result.seconds < SHORT_CELL_SECONDS:

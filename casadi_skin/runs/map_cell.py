@@ -26,6 +26,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
+from casadi_skin.model.arguments import in_words
 from casadi_skin.model.result import TURN
 from casadi_skin.points.edges import parameters_of
 from casadi_skin.points.gradient import Gradient, NoGradientError
@@ -359,7 +360,7 @@ class Computer:
                 rows, meanings = self._rows(task)
             return Result(tuple(rows), seconds=time.perf_counter() - started, meanings=meanings)
         except (ArithmeticError, ValueError, TypeError, OSError) as error:
-            reason = " ".join(str(error).split())
+            reason = in_words(error)
         except Exception as error:  # whatever a cell does, the map goes on
             reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return Result(kind=FAILED, reason=reason, seconds=time.perf_counter() - started)
@@ -412,7 +413,7 @@ class Served:
         try:
             self.solutions[k] = first_solution(self.request(self.values[k]))
         except (ArithmeticError, ValueError) as error:
-            self.faults[k] = " ".join(str(error).split())
+            self.faults[k] = in_words(error)
 
     def _between(self, i: int, j: int) -> None:
         if j - i < 2:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.follow.special_points import SpecialPoint
+from casadi_skin.model.arguments import in_words
 from casadi_skin.runs.binding import Files, bind
 from casadi_skin.runs.first_solution import first_solution
 from casadi_skin.runs.map_cell import followed
@@ -123,7 +124,7 @@ def _tongue_lines(plane: Plane) -> list[Points]:
         except (ValueError, ArithmeticError) as error:
             names = ", ".join(axis.name for axis in found.grid.axes if axis in plane.axes)
             words = f"{names}: the edge of the tongue {tongue} is not followed, its line joins families"
-            plane.report(f"{words}: {' '.join(str(error).split())}")
+            plane.report(f"{words}: {in_words(error)}")
             lines.append(np.array([(entry.value, entry.S) for entry in run]))
     return [part for k, line in enumerate(lines) for part in lowest(line, lines[:k] + lines[k + 1 :])]
 
@@ -198,7 +199,7 @@ def _curves(plane: Plane) -> Iterator[Points]:
             curves = _curves_between(plane, *pair)
         except (ValueError, ArithmeticError) as error:
             names = [plane.map.grid.name(int(plane.cells[place])) for place in pair]
-            without.append(f"{' and '.join(names)}: {' '.join(str(error).split())}")
+            without.append(f"{' and '.join(names)}: {in_words(error)}")
             continue
         found += curves
     if without:

@@ -77,22 +77,18 @@ class TaskRecord(msgspec.Struct, frozen=True, tag="task"):
     kind: str = ""
     reason: str = ""
     neighbour: int = -1
-    meanings: ClassVar[Mapping[str, str]] = {}
 
 
 class MapHead(msgspec.Struct, frozen=True, tag="map"):
     """The first record of a journal: a digest of the scene whose map it is of."""
 
     digest: bytes
-    meanings: ClassVar[Mapping[str, str]] = {}
-    cells: ClassVar[tuple[int, ...]] = ()
 
 
 class MeaningsRecord(msgspec.Struct, frozen=True, tag="meanings"):
     """Meanings of quantities by name, in the order in which they came."""
 
     meanings: dict[str, str]
-    cells: ClassVar[tuple[int, ...]] = ()
 
 
 MapRecord = TaskRecord | MeaningsRecord | MapHead
@@ -151,20 +147,17 @@ class Map(WithVerbs):
         watched = table.watch or WATCHED
         self.boundary: Lines = {}
         self._levels = watched if isinstance(watched, Mapping) else dict.fromkeys(watched, ())
-        self._wanted = None if table.quantities is None else {*table.quantities, STARTED_FROM}
-        self._kept = None  # names of columns, but for all of them
-        if self._wanted is not None:
-            self._kept = {*self._wanted, REASON, *OF_BOUNDARY, *(self._levels if grid.refined else ())}
+        wanted = self._wanted = None if table.quantities is None else {*table.quantities, STARTED_FROM}
+        others = {REASON, *OF_BOUNDARY, *(self._levels if grid.refined else ())}
+        self._kept = None if wanted is None else wanted | others  # names of columns, but for all of them
         self._head, size = MapHead(digest(scene)), grid.size
         self.states, self.attempts = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
         self._places, self._sources = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int16)
         self._outside, self._axes = np.zeros(size, dtype=bool), {axis.name for axis in grid.axes}
         self.columns, self._kinds = dict[str, NDArray[np.float64]](), dict[str, type]()
         self._texts, self._first = {"": 0}, dict[str, tuple[int, int]]()
-        self.meanings = {
-            STARTED_FROM: "the cell whose solution the second start began at",
-            REASON: "why a cell failed, or ended early",
-        }
+        self.meanings = {STARTED_FROM: "the cell whose solution the second start began at",
+                         REASON: "why a cell failed, or ended early"}  # fmt: skip
         self.seconds, self.finished = 0.0, 0
         self._ends = dict[Path, int]()  # how far each journal is read
         self._faults = list[str]()  # records that no task of this map gives
@@ -258,8 +251,9 @@ class Map(WithVerbs):
         if place == 0 and record != self._head:
             words = "accepted: that of this scene, or --overwrite"
             raise DirectoryError(f"{list(self._ends)[source]}: is the journal of another scene; {words}")
-        self.meanings = {**record.meanings, **self.meanings}
-        if isinstance(record, TaskRecord):
+        if isinstance(record, MeaningsRecord):
+            self.meanings = {**record.meanings, **self.meanings}
+        elif isinstance(record, TaskRecord):
             self._index_task(source, place, record)
 
     def _index_task(self, source: int, place: int, record: TaskRecord) -> None:
@@ -368,9 +362,7 @@ class Map(WithVerbs):
     def failures(self, most: int | None = None) -> list[tuple[str, str]]:
         """Cells that failed or ended early, in words, each with its reason; no more than `most` of them."""
         cells = np.flatnonzero(self.states >= ENDED)[:most].tolist()
-        return [
-            (self.grid.name(cell), str(words)) for cell, words in zip(cells, self.cells(REASON, cells), strict=True)
-        ]
+        return list(zip(map(self.grid.name, cells), map(str, self.cells(REASON, cells)), strict=True))
 
     @property
     def names(self) -> list[str]:
@@ -413,11 +405,10 @@ class Map(WithVerbs):
 
     def summary(self) -> str:
         """The numbers of cells in words."""
-        states = self.states
-        words = [f"{np.sum(states == s)} {STATUS_WORDS[s]}" for s in (DONE, ENDED, FAILED) if np.any(states == s)]
-        mean, refined = self.seconds / max(self.finished, 1), self.grid.refined
-        of = f" of {self.grid.size} at the finest" if refined else ""
-        return f"{int(np.sum(states != UNKNOWN))} cells{of}: {', '.join(words) or 'none'}; {mean:.3g} s a cell"
+        counts, mean = np.bincount(self.states, minlength=len(STATUS_WORDS)), self.seconds / max(self.finished, 1)
+        words = [f"{counts[s]} {STATUS_WORDS[s]}" for s in (DONE, ENDED, FAILED) if counts[s]]
+        of = f" of {self.grid.size} at the finest" if self.grid.refined else ""
+        return f"{counts[DONE:].sum()} cells{of}: {', '.join(words) or 'none'}; {mean:.3g} s a cell"
 
     def __repr__(self) -> str:
         sizes = " x ".join(f"{len(axis.values)} {axis.name}" for axis in self.grid.axes)
@@ -477,11 +468,9 @@ class Map(WithVerbs):
         """Write map.csv, a row a cell that is known, axes first; map.nc; and a picture a quantity, map_NAME."""
         known, given = self.known, (*self.names, REASON)
         names = [*(axis.name for axis in self.grid.axes), "status", *given]
+        places = ((*self.grid.values(cell), STATUS_WORDS[self.states[cell]]) for cell in known)
         values = zip(*(self.cells(name, known) for name in given), strict=True)
-        rows = (
-            dict(zip(names, (*self.grid.values(cell), STATUS_WORDS[self.states[cell]], *row), strict=True))
-            for cell, row in zip(known, values, strict=True)
-        )
+        rows = (dict(zip(names, place + row, strict=True)) for place, row in zip(places, values, strict=True))
         write_csv(self.directory / CSV_FILE, names, rows)
         write_netcdf(self.directory / NETCDF_FILE, self.dataset(attributes, dimensionless))
         for name in self.drawn_names if pictures else ():
@@ -504,33 +493,27 @@ class Map(WithVerbs):
         """Axes under these names, and quantities over them: NaN and empty texts where there is none."""
         for axis, name in zip(self.grid.axes, names, strict=True):
             values, meaning = np.array(axis.values), f"the parameter {', '.join('.'.join(path) for path in axis.paths)}"
-            if not any(
-                "parameters" in path for path in axis.paths
-            ):  # declared by the user, with a meaning of their own
+            if not any("parameters" in path for path in axis.paths):  # those of the user have a meaning of their own
                 meaning = CHAIN_MEANINGS.get(axis.name, meaning)
             if not axis.worded and not np.all(np.abs(values.astype(float)) < LARGEST_WHOLE_NUMBER):
                 values = values.astype(float)
             yield Variable(name, (name,), values, meaning, attributes={} if axis.worded else units)
         over, words = tuple(names), " ".join(word.replace(" ", "_") for word in STATUS_WORDS)
         flags = {"flag_values": np.arange(len(STATUS_WORDS), dtype="i4"), "flag_meanings": words}
-        yield Variable(
-            "status", over, self.states.reshape(self.grid.shape), "what is known of a cell", attributes=flags
-        )
+        yield Variable("status", over, self.status, "what is known of a cell", attributes=flags)
         for name in (*self.names, REASON):
             number, meaning = not self.is_text(name), self.meanings.get(name, name)
             yield Variable(name, over, self.values(name), meaning, number, units if number else {})
 
     def write_boundary(self, lines: Lines) -> None:
         """Keep the lines of the boundary, in boundary.csv as well: their points in their order."""
-        axes, self.boundary = self.grid.axes, lines
+        axes, self.boundary, rows = self.grid.axes, lines, list[dict[str, Cell]]()
         others = [axis for axis in axes if not axis.numeric]
         names = [*(axis.name for axis in others), "line", *(axis.name for axis in axes if axis.numeric)]
-        rows = (
-            dict(zip(names, [*(a.values[k] for a, k in zip(others, chosen, strict=True)), n, *point], strict=True))
-            for chosen, curves in lines.items()
-            for n, curve in enumerate(curves, start=1)
-            for point in curve.tolist()
-        )
+        for chosen, curves in lines.items():
+            places = [axis.values[k] for axis, k in zip(others, chosen, strict=True)]
+            for n, curve in enumerate(curves, start=1):
+                rows += [dict(zip(names, (*places, n, *point), strict=True)) for point in curve.tolist()]
         write_csv(self.directory / BOUNDARY_FILE, names, rows)
 
     # Pictures: a quantity each, over the axes that are ranges; other axes have a panel a value ------------------------
@@ -550,31 +533,28 @@ class Map(WithVerbs):
     @property
     def _along(self) -> list[int]:
         """Axes that are drawn: the ranges; where there is none the longest list of numbers."""
-        axes = self.grid.axes
-        ranges = [i for i, axis in enumerate(axes) if axis.numeric]
-        lists = [i for i, axis in enumerate(axes) if not axis.worded]
-        return ranges or sorted(lists, key=lambda i: -len(axes[i].values))[:1] or [0]
+        axes = dict(enumerate(self.grid.axes))
+        lists = [i for i, axis in axes.items() if not axis.worded]
+        return [i for i in axes if axes[i].numeric] or sorted(lists, key=lambda i: -len(axes[i].values))[:1] or [0]
 
     def _panels(self, name: str) -> tuple[list[Axis], list[MapAxis], Callable[[Sequence[int]], Panel]]:
         """Axes that are not drawn, those that are, and the panel of a quantity at places along the first."""
         check_name("quantity", name, [n for n in self.names if not self.is_text(n)])
         axes, along = self.grid.axes, self._along
         others = [i for i in range(len(axes)) if i not in along]
+        names = [part for i in others for part in axes[i].names]
 
         def panel(chosen: Sequence[int]) -> Panel:
             places = dict(zip(others, chosen, strict=True))
             index = tuple(places.get(i, slice(None)) for i in range(len(axes)))
             values, states = self[name].astype(float)[index], self.status[index]
-            names = [part for i in others for part in axes[i].names]
             at = [value for i, k in places.items() for _, value in axes[i].settings(k)]
             shown = filled(np.where(np.isfinite(values), values, np.nan), states, [axes[i].stride for i in along])
             lines = self.boundary.get(tuple(chosen), ())
             return Panel(panel_title(names, at), shown, states >= ENDED, states != UNKNOWN, lines)
 
-        drawn = list[MapAxis]()
-        for axis in (axes[i] for i in along):  # words one after the other
-            numbers = np.array(range(len(axis.values)) if axis.worded else axis.values, dtype=float)
-            drawn.append(MapAxis(axis.name, numbers, axis.log))
+        numbers = [range(len(axes[i].values)) if axes[i].worded else axes[i].values for i in along]  # words in order
+        drawn = [MapAxis(axes[i].name, np.array(v, float), axes[i].log) for i, v in zip(along, numbers, strict=True)]
         return [axes[i] for i in others], drawn, panel
 
     def draw(self, places: Axes, name: str, at: Mapping[str, Any]) -> None:

@@ -232,15 +232,13 @@ def spectrum(arguments: argparse.Namespace) -> int:
     frequencies = None if arguments.out is not None else _closed_form(scene)
     if frequencies is None:
         from casadi_skin.runs.binding import bound, check_spectrum
-        from casadi_skin.runs.rules import SceneError, faults_at, placed
+        from casadi_skin.runs.rules import faults_at, in_file, placed
 
         request = bound(scene, arguments.scene)
-        try:
+        with in_file(arguments.scene):
             check_spectrum(request)
             with faults_at(partial(placed, table="lattice")):  # a run writes it all the same
                 frequencies = [float(omega) for omega in request.model.linear_frequencies(request.parameters)]
-        except SceneError as error:
-            raise InputError(f"{arguments.scene}: {error}") from error
         if arguments.out is not None:
             from casadi_skin.runs.directory import Existing, prepare
             from casadi_skin.runs.tasks import write_spectrum
@@ -282,7 +280,8 @@ def map_(arguments: argparse.Namespace) -> int:
     scene, _ = _scene(arguments)
     if scene.map is None:
         raise InputError(f"{arguments.scene}: [map]: missing; accepted: a table of parameters with ranges or lists")
-    part = _part(arguments.part)
+    pair = re.fullmatch(r"(\d{1,6})/(\d{1,6})", arguments.part or "")
+    part: Any = arguments.part if pair is None else (int(pair[1]), int(pair[2]))  # checked with the other options
     _name_program(scene, arguments)
     from casadi_skin.model.interrupts import TimeLimit, time_limited
     from casadi_skin.runs.map import MapRun
@@ -319,19 +318,10 @@ def map_(arguments: argparse.Namespace) -> int:
     return _report_map(found, arguments)
 
 
-def _part(words: str | None) -> tuple[int, int] | None:
-    if words is None:
-        return None
-    pair = re.fullmatch(r"(\d{1,6})/(\d{1,6})", words)
-    if pair is None or not 1 <= int(pair[1]) <= int(pair[2]):
-        raise InputError(f"map: --part: given {words}; accepted: K/N with 1 <= K <= N, such as 3/20")
-    return int(pair[1]), int(pair[2])
-
-
 def _report_map(found: Map, arguments: argparse.Namespace) -> int:
     """Report the computed and the missing cells of the map, and return the exit status."""
     waits = found.waits and arguments.part is not None
-    failures = [] if waits else [f"{cell}: {reason}" for cell, reason in found.failures(MOST_REASONS + 1)]
+    failures = [] if waits else [": ".join(known) for known in found.failures(MOST_REASONS + 1)]
     reasons = failures[:MOST_REASONS]
     if len(failures) > MOST_REASONS:
         reasons.append(f"more cells failed or ended early; see {found.directory / 'map.csv'}")

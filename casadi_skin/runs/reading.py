@@ -20,6 +20,7 @@ from casadi_skin.runs.rules import (
     check_scene,
     check_unknown,
     faults_at,
+    in_file,
     inline,
     is_table,
     refusal,
@@ -64,13 +65,11 @@ def read_text(path: str | Path) -> str:
 
 def parse_scene(text: str, source: str = "scene") -> Scene:
     """Read a scene from TOML text; raises SceneError whose message begins with the source."""
-    try:
+    with in_file(source):
         scene = scene_of(_parse_toml(text))
         if scene.accuracy.certify:
             _check_decimals(text)
         return scene
-    except SceneError as fault:
-        raise SceneError(f"{source}: {fault}") from None
 
 
 def _check_decimals(text: str) -> None:
@@ -87,8 +86,22 @@ def _check_decimals(text: str) -> None:
 
 
 def scene_of(raw: dict[str, Any]) -> Scene:
-    """The scene that tables of plain values ask for, checked; raises SceneError."""
-    scene = _converted(raw)
+    """The scene that tables of plain values ask for.
+
+    Raises SceneError: first for names that no scene has, then for the model, then for values, then for relations.
+    """
+    reading = _Reading()
+    scene: Scene = reading.table(Scene, "", raw)
+    check_unknown(reading.unknown)
+    models = [name for name in MODEL_TABLES if name in raw]
+    if len(models) > 1:
+        raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
+    if not models:
+        keys = ", ".join(ChainTable.__struct_fields__)
+        others = "a table [lattice] with cells and site, or a table [model] with file"
+        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, {others}")
+    for fault in reading.faults:
+        raise fault
     check_scene(scene)
     return scene
 
@@ -232,20 +245,3 @@ def _taken(value: Any, kind: Any) -> Any:
     if found is not None:  # no key takes it, and msgspec up to 0.20 raises SystemError on it
         raise msgspec.ValidationError("", found)
     return msgspec.convert(value, kind)
-
-
-def _converted(raw: dict[str, Any]) -> Scene:
-    """The scene of plain values; raises SceneError for names that no scene has, then for the model, then others."""
-    reading = _Reading()
-    scene: Scene = reading.table(Scene, "", raw)
-    check_unknown(reading.unknown)
-    models = [name for name in MODEL_TABLES if name in raw]
-    if len(models) > 1:
-        raise refusal(f"[{models[0]}]", f"beside [{models[1]}]", "[chain], [lattice] or [model] in one scene")
-    if not models:
-        keys = ", ".join(ChainTable.__struct_fields__)
-        others = "a table [lattice] with cells and site, or a table [model] with file"
-        raise SceneError(f"[chain]: missing; accepted: a table with {keys}, {others}")
-    for fault in reading.faults:
-        raise fault
-    return scene

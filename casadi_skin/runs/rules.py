@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from casadi_skin.lattice.stiffness import square_of_family
@@ -42,6 +43,15 @@ def faults_at(place: str | Callable[[str], str]) -> Iterator[None]:
         raise
     except (ValueError, TypeError, ImportError) as error:
         raise SceneError(f"{place}{error}" if isinstance(place, str) else place(str(error))) from None
+
+
+@contextmanager
+def in_file(path: str | Path) -> Iterator[None]:
+    """A SceneError of the block with the file of the scene in front."""
+    try:
+        yield
+    except SceneError as fault:
+        raise SceneError(f"{path}: {fault}") from None
 
 
 def placed(message: str, table: str = "family") -> str:
@@ -203,15 +213,10 @@ def _message(scene: Scene, place: str, fault: object, accepted: str) -> str:
     return f"[{table}]{' ' if key else ''}{key}: {given}; accepted: {accepted}"
 
 
-def _item(values: Sequence[Any], wrong: Callable[[int, Any], bool], more: str = "") -> str:
-    """The first item that is wrong, with its number from 1, in words; empty where there is none."""
-    found = (f"{toml_repr(value)} as item {i}{more}" for i, value in enumerate(values, start=1) if wrong(i, value))
-    return next(found, "")
-
-
 def _again(values: Sequence[Any]) -> str:
-    """The first item that was there before, in words."""
-    return _item(values, lambda i, value: value in values[: i - 1], " again")
+    """The first item that was there before, with its number from 1, in words; empty where there is none."""
+    found = (f"{toml_repr(v)} as item {i} again" for i, v in enumerate(values, start=1) if v in values[: i - 1])
+    return next(found, "")
 
 
 def _of_how(s: Seen) -> Rules:
@@ -238,10 +243,10 @@ def _of_what(s: Seen) -> Rules:
         one, other, *_ = s.sought
         yield other, f"beside [{one}]", f"[{one}] or [{other}] in one scene"
     if s.solution:
-        beside, saved = f"beside [{'lattice' if s.lattice else 'chain'}]", str(s.model.file).endswith(".json")
+        beside, file = f"beside [{'lattice' if s.lattice else 'chain'}]", str(s.model.file)
         yield "solution", not s.model and beside, "beside [model], whose file states a boundary-value problem"
         accepted = "with a Python file: a saved model is no boundary-value problem"
-        yield "solution", saved and f'with file = "{s.model.file}"', accepted
+        yield "solution", file.endswith(".json") and f'with file = "{file}"', accepted
     if s.stability:
         table = s.continuation
         cycles = table and ("hopf" in table.switch or (not table.switch and table.depth))
@@ -260,8 +265,7 @@ def _of_what(s: Seen) -> Rules:
     if s.orbit:
         orbit, symmetric = s.orbit, s.orbit.symmetric and "with symmetric = true"
         if s.chain and not orbit.symmetric:
-            accepted = "true: the orbits of a chain come in families"
-            yield f"[orbit] symmetric: given false with [chain]; accepted: {accepted}"
+            yield "[orbit] symmetric: given false with [chain]; accepted: true: the orbits of a chain come in families"
         yield "orbit", orbit.period and orbit.transient and "period and transient", "period or transient, one of them"
         yield "orbit section", symmetric, "without: the symmetry fixes the phase"
         yield "orbit transient", symmetric, "period (the orbit starts where the symmetry has its phase zero)"
@@ -394,9 +398,7 @@ def _orbit_of_family(s: Seen, name: str) -> Rules:
     table = getattr(s, name)
     if not (s.family and table.S):
         return
-    modes = f"one of the modes of [family], {toml_repr(s.modes)}"
-    yield f"{name} mode", len(s.modes) > 1 and MISSING, modes
-    yield f"{name} mode", table.mode not in s.modes and str not in map(type, s.modes), modes
+    yield f"{name} mode", len(s.modes) > 1 and MISSING, f"one of the modes of [family], {toml_repr(s.modes)}"
     most = s.family.amplitude_max
     yield f"{name} S", most < table.S, f"a number <= amplitude_max = {most!r}"
 
@@ -468,9 +470,6 @@ def _of_map(s: Seen) -> Rules:
         several = len(s.modes) > 1 and not moved & {"mode", "family.mode"}
         yield "map boundary", several and "with several families in a cell", "one, or an axis mode"
     else:
-        others, accepted = (
-            s.continuation or s.solution or s.design,
-            "with [family], or with [equilibrium] or [orbit] alone",
-        )
+        others, accepted = s.continuation or s.solution or s.design, "with [family], or [equilibrium] or [orbit] alone"
         yield "map boundary", others and "with a scene of other branches", accepted
         yield "map boundary", s.orbit and not s.stability and "without [stability]", "beside [orbit] with a [stability]"

@@ -28,6 +28,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.follow import BranchRun
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
+from casadi_skin.model.arguments import in_words
 from casadi_skin.model.methods import CONTINUATIONS, CORRECTORS, FLOWS, SHOOTING, TRANSCRIPTIONS, TRIGONOMETRIC
 from casadi_skin.results.figures.style import blank, colours, drawn, finished, title
 from casadi_skin.runs.binding import bound
@@ -274,7 +275,7 @@ def measure(family: FamilyRequest, setting: Setting, reference: Reference, repea
             size, points = max(orbit.point.z.size for orbit in orbits), len(branch.orbits)
             told = any(orbit.point.at_round_off for orbit in orbits)
     except ArithmeticError as error:
-        return replace(setting, failure=" ".join(str(error).split()))
+        return replace(setting, failure=in_words(error))
     marked = largest(errors, setting.kind) <= largest(reference.agreement, setting.kind)
     shown = dict(zip((f"{name}_error" for name in ERRORS), np.maximum(errors, SMALLEST_ERROR).tolist(), strict=True))
     known: dict[str, Any] = {**times, **shown, "unknowns": size, "points": points, "told": told}

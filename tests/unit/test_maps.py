@@ -79,8 +79,8 @@ def test_a_bad_map_is_refused_in_one_line(text: str, tmp_path: Path, cli: Cli) -
     [
         ("--part 1/3 --overwrite", "map: --overwrite: given beside part, whose directory holds other shares;"),
         ("--scheduler nonsense", "map: --scheduler: given 'nonsense'; accepted: an address, such as tcp://host:8786"),
-        ("--part 4/3", "map: --part: given 4/3; accepted: K/N with 1 <= K <= N, such as 3/20"),
-        ("--part x", "map: --part: given x; accepted: K/N with 1 <= K <= N, such as 3/20"),
+        ("--part 4/3", "map: --part: given 4/3; accepted: K/N with 1 <= K <= N <= 32767, such as 3/20"),
+        ("--part x", "map: --part: given 'x'; accepted: K/N with 1 <= K <= N <= 32767, such as 3/20"),
         ("--workers 0", "map: --workers: given 0; accepted: a whole number from 1 to 256"),
     ],
 )
