@@ -65,7 +65,6 @@ def cost_of(request: Request) -> Cost:
 def bytes_of(request: Request) -> float:
     """Bytes that a process needs for what a scene asks; 0 where that is little, or not estimated."""
     scene = request.scene
-    stability = scene.stability is not None
     if scene.given("orbit", "solution") or (scene.family is not None and scene.methods.transcription in TABLES):
         return cost_of(request).bytes
     if scene.design is not None and not scene.design.of:
@@ -80,7 +79,7 @@ def bytes_of(request: Request) -> float:
         model = request.equations
         rows, columns = ca.jacobian_sparsity(model.rhs, model.state).get_triplet()
         n, reach = model.size, int(np.max(np.abs(np.subtract(rows, columns)), initial=1))
-    return float(1.25e8 + 5.2e4 * n + 2.3e3 * n * reach + (320.0 * n**2 if stability else 0.0))
+    return float(1.25e8 + 5.2e4 * n + 2.3e3 * n * reach + 320.0 * n**2 * (scene.stability is not None))
 
 
 OWN_GROUPS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")  # of processes, whose memory Linux may limit
@@ -141,12 +140,11 @@ def check_memory(request: Request, path: Path, processes: int = 1) -> None:
         raise SceneError(f"{path}: [{name}]: {words}; accepted: {accepted}")
 
 
-def memory_in_words(request: Request, processes: int = 1) -> str:
+def memory_in_words(request: Request) -> str:
     """The bytes that a scene needs, and what is there of them."""
     there = available_memory()
-    return f"{in_gigabytes(bytes_of(request) * processes)}" + (
-        f" of the {in_gigabytes(there)} there" if math.isfinite(there) else ""
-    )
+    of = f" of the {in_gigabytes(there)} there" if math.isfinite(there) else ""
+    return in_gigabytes(bytes_of(request)) + of
 
 
 def in_gigabytes(number: float) -> str:

@@ -17,7 +17,7 @@ from casadi_skin.model.methods import FORMATS
 from casadi_skin.runs.output import InputError
 from casadi_skin.runs.reading import parse_scene
 from casadi_skin.runs.rules import SceneError
-from casadi_skin.runs.scene import Scene
+from casadi_skin.runs.scene import TABLES, Scene
 
 if TYPE_CHECKING:
     from casadi_skin.runs.request import Request
@@ -136,10 +136,8 @@ def _remove_results(directory: Path, names: Sequence[str]) -> None:
     """Remove the files of a run; raises DirectoryError, before any is removed, where a directory is not of a run."""
     if not _of_a_run(directory):
         held = min(path.name for path in directory.iterdir() if not path.name.startswith(LOCK_PREFIX))
-        accepted = (
-            f"--overwrite replaces the results of a run, with its {SCENE_FILE}; accepted: an empty or new directory"
-        )
-        raise DirectoryError(f"{directory}: holds {held} and no run made it; {accepted}")
+        words = f"--overwrite replaces the results of a run, with its {SCENE_FILE}; accepted: an empty or new directory"
+        raise DirectoryError(f"{directory}: holds {held} and no run made it; {words}")
     old = [path for name in names for path in directory.glob(name)]
     _remove_export(directory / EXPORT_FOLDER)
     for path in old:
@@ -158,8 +156,7 @@ def _remove_export(folder: Path) -> None:
         return
     stems = [path.stem for path in folder.glob("*.h") if path.is_file() and HEADER_AUTHOR in path.read_bytes()[:400]]
     own = {path for name in EXPORTED_FILES for stem in stems[:1] for path in folder.glob(name.format(escape(stem)))}
-    others = sorted(path.name for path in folder.iterdir() if path not in own)
-    if others:
+    if others := sorted(path.name for path in folder.iterdir() if path not in own):
         raise DirectoryError(f"{folder}: holds {others[0]}, which no run wrote; {ACCEPTED_EXPORT}")
     for path in own:
         path.unlink()
@@ -198,9 +195,7 @@ def check_writable(directory: Path) -> None:
         raise DirectoryError(f"{directory}: {reason}; accepted: an empty or new directory") from error
     if exists and not directory.is_dir():
         raise DirectoryError(f"{directory}: is not a directory; accepted: an empty or new directory")
-    parent = directory
-    while not parent.exists():
-        parent = parent.parent
+    parent = next(path for path in (directory, *directory.parents) if path.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         raise DirectoryError(f"{directory}: cannot be written (in {parent}); accepted: a directory that can be")
     for path in sorted(directory.iterdir()) if exists else ():
@@ -233,17 +228,12 @@ def _check_same(directory: Path, scene: Scene) -> None:
     except (SceneError, UnicodeDecodeError) as error:
         raise DirectoryError(f"{directory}: its {SCENE_FILE} cannot be read: {error}") from error
     if not scene.same_request(before):
-        tables = [name for name in scene.__struct_fields__ if name not in ("title", "time_limit")]
-        changed = [f"[{name}]" for name in tables if getattr(scene, name) != getattr(before, name)]
-        raise DirectoryError(
-            f"{directory}: was begun with another scene ({', '.join(changed)} differs); accepted: the same scene but "
-            "for its title and time_limit, or --overwrite"
-        )
+        changed = ", ".join(f"[{name}]" for name in TABLES if getattr(scene, name) != getattr(before, name))
+        words = f"was begun with another scene ({changed} differs); accepted: the same scene"
+        raise DirectoryError(f"{directory}: {words} but for its title and time_limit, or --overwrite")
 
 
 # Directories in use: one process computes in a directory, or several that share a map ---------------------------------
-
-ACCEPTED_DIRECTORIES = "accepted: another directory, or this one when that process has ended"
 
 
 @contextmanager
@@ -271,8 +261,8 @@ def in_use(directory: Path, report: Callable[[str], None], shared: bool = False,
                 holder = ""
                 with suppress(OSError):
                     holder = path.read_text(encoding="utf-8", errors="replace")
-                words = f"{holder or 'another process'} computes in it; {ACCEPTED_DIRECTORIES}"
-                raise DirectoryError(f"{directory}: {words}") from None
+                words = "computes in it; accepted: another directory, or this one when that process has ended"
+                raise DirectoryError(f"{directory}: {holder or 'another process'} {words}") from None
             except OSError as error:
                 report(f"{directory}: cannot be locked ({error.strerror}): nothing else may compute in it meanwhile")
             yield

@@ -65,12 +65,9 @@ def write_page(source: Path, target: Path) -> Path:
     page = text("page.html").replace("@BODY@", text(f"{kind}.html"))
     plotly = text("plotly-basic.min.js").replace("</script", "<\\/script")
     scripts = {"@PLOTLY@": plotly, "@COMMON@": text("common.js"), "@SCRIPT@": text(f"{kind}.js")}
-    parts = {
-        **scripts,
-        "@HASHES@": " ".join(map(_hash, scripts.values())),
-        "@TITLE@": html.escape(str(data["title"])),
-        "@DATA@": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-    }
+    shown = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    parts = {**scripts, "@HASHES@": " ".join(map(_hash, scripts.values())), "@DATA@": shown}
+    parts["@TITLE@"] = html.escape(str(data["title"]))
     page = re.sub("|".join(parts), lambda mark: parts[mark[0]], page)  # at once: a title may be a mark
     with replacing(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -218,27 +215,20 @@ def _branch(part: Part, share: int) -> Contents:
         return np.unique(np.concatenate([even, *marked])).astype(np.int64)
 
     kept = chosen(MOST_CURVE_POINTS)
-    x = "S" if "S" in columns else next(iter(columns))
-    return {
-        "name": part.name,
-        "count": count,
-        "x": x,
-        "y": "Omega" if "S" in columns else list(columns)[1],
-        "columns": {"point": kept.tolist(), **{n: short_numbers(v[kept]) for n, v in columns.items()}},
-        "stable": part["stable"][kept].astype(int).tolist() if "stable" in part.variables else None,
-        "requested": np.flatnonzero(part["requested"][kept]).tolist(),
-        "special": _listed(part, columns, x, kept, special),
-        "detail": _detail(part.variables, chosen(share), kept),
-    }
+    x, y = ("S", "Omega") if "S" in columns else list(columns)[:2]
+    shown = {"point": kept.tolist(), **{n: short_numbers(v[kept]) for n, v in columns.items()}}
+    stable = part["stable"][kept].astype(int).tolist() if "stable" in part.variables else None
+    marks = np.flatnonzero(part["requested"][kept]).tolist()
+    listed, detail = _listed(part, columns, x, kept, special), _detail(part.variables, chosen(share), kept)
+    known = {"name": part.name, "count": count, "x": x, "y": y, "columns": shown, "stable": stable}
+    return known | {"requested": marks, "special": listed, "detail": detail}
 
 
 def _columns(part: Part) -> dict[str, Array]:
     """Quantities that are one number a point, the followed one first; of a state that moves its largest value."""
-    variables, found = part.variables, dict[str, Array]()
-    for i, name in enumerate(str(n) for n in variables.get("parameter_name", ())):
-        found[name] = variables["parameters"][:, i]
-    moving = sorted(found, key=lambda name: -float(np.ptp(found[name])) / (abs(float(found[name][0])) or 1.0))
-    found = {name: found[name] for name in moving}
+    variables = part.variables
+    parameters = [(str(n), variables["parameters"][:, i]) for i, n in enumerate(variables.get("parameter_name", ()))]
+    found = dict(sorted(parameters, key=lambda pair: -float(np.ptp(pair[1])) / (abs(float(pair[1][0])) or 1.0)))
     for i, name in enumerate(str(n) for n in variables.get("state_name", ())):
         found.setdefault(name, variables["largest" if "largest" in variables else "states"][:, i])
     if "end" in variables and "phase" in variables:
@@ -339,24 +329,24 @@ def _of_map(name: str, dataset: Dataset) -> Contents:
     chosen = [np.unique(np.linspace(0, n - 1, m).round().astype(np.int64)) for n, m in zip(shape, sizes, strict=True)]
     index = np.ix_(*chosen)
     status, count = held["status"].values[index], held["status"].values.size
-    numbers = [
-        {"name": v.name, "words": v.meaning, "values": short_numbers(v.values.astype(float)[index])}
-        for v in held.values()
-        if v.dimensions == axes and v.name not in SKIPPED_COLUMNS and v.values.dtype.kind in "fi"
-    ]
+    quantities = [v for v in held.values() if v.dimensions == axes and v.name not in SKIPPED_COLUMNS and _counts(v)]
     return {
         "title": dataset.attributes.get("title", "") or name,
         "note": f"{status.size} of {count} cells are shown" if status.size < count else "",
-        "axes": [_axis(held[n], places) for n, places in zip(axes, chosen, strict=True)],
-        "quantities": numbers,
+        "axes": [{**_shown(held[n], k), "numbers": _counts(held[n])} for n, k in zip(axes, chosen, strict=True)],
+        "quantities": [_shown(variable, index) for variable in quantities],
         "status": status.astype(int).ravel().tolist(),
         "reasons": [str(text) for text in held["reason"].values[index].ravel()] if np.any(status > 1) else [],
         "states": list(STATUS_WORDS),
     }
 
 
-def _axis(axis: Variable, places: NDArray[np.int64]) -> Contents:
-    values = axis.values[places]
-    numbers = values.dtype.kind in "fi"
-    shown = short_numbers(values) if numbers else [str(value) for value in values]
-    return {"name": axis.name, "words": axis.meaning, "values": shown, "numbers": numbers}
+def _counts(variable: Variable) -> bool:
+    """Whether its values are numbers."""
+    return variable.values.dtype.kind in "fi"
+
+
+def _shown(variable: Variable, places: Any) -> Contents:
+    values = variable.values[places]
+    shown = short_numbers(values) if _counts(variable) else [str(value) for value in values]
+    return {"name": variable.name, "words": variable.meaning, "values": shown}

@@ -66,9 +66,7 @@ def follow_edges(
     asked = table.curve
     if asked is None:
         return
-    known: dict[str, Any] = {
-        record.branch: record.curve for record in journal.records if isinstance(record, EdgeRecord)
-    }
+    known = {record.branch: record.curve for record in journal.records if isinstance(record, EdgeRecord)}
     options = {"max_points": table.max_points, "max_step": table.max_step}
     for family in families:
         mode, diagram = mode_of(family), family.stability_diagram

@@ -114,7 +114,7 @@ def known_names(request: Request) -> tuple[str, ...]:
         return (*names, "regime", "threshold", *STABILITY, *moves, *OF_ALL)
     ode = request.ode
     special = [name for kind in KINDS for name in _special_names(kind)]
-    special += _moves(special[1::3], request)
+    special += _moves(special[1::3], request)  # of the first ones
     extremes = [f"{name}_{end}" for name in ode.state_names for end in ("min", "max")]
     energy = ["energy"] if scene.orbit is not None and ode.hamiltonian is not None else []
     fixed = (*(FIXED_AT_REST if scene.equilibrium is not None else FIXED), *energy)
@@ -269,8 +269,7 @@ def _instabilities(branch: Branch, growth: float, failed: list[str] | None) -> N
         yield "first_tongue", tongue, "kind of the first instability, and the modes that meet there"
     if diagram is not None:
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
-    words = "changes of stability along the branch; where stretches are unresolved, at least so many"
-    yield "changes", len(branch.changes), words
+    yield "changes", len(branch.changes), "changes of stability; where stretches are unresolved, at least so many"
 
 
 def _special_names(kind: str) -> tuple[str, str, str]:
@@ -462,18 +461,14 @@ def _attracts(orbit: Solution) -> bool:
 def served(request: Request, name: str, values: Sequence[float], meanings: dict[str, str]) -> Iterator[Row]:
     """Rows of the solutions at values of a parameter, where the branch from that at the first of them passes first."""
     first = first_solution(request)
-    branch, found = first.follow(name, values[-1], at=values[1:], events=False), {values[0]: first}
-    for solution in branch.solutions:
-        if solution.point.requested:
-            found.setdefault(solution.parameters[name], solution)
+    branch = first.follow(name, values[-1], at=values[1:], events=False)
+    passed = [solution for solution in branch.solutions if solution.point.requested]
+    found = {solution.parameters[name]: solution for solution in (*passed[::-1], first)}  # the first at each value
+    words = f"the branch from {name} = {values[0]:g} has no solution there: {branch.reason}"
     for value in values:
-        if value in found:
-            row = _row_alone(request, found[value], meanings)
-            values_of = {key: number for key, number in row.values.items() if key not in request.parameters}
-            yield msgspec.structs.replace(row, values=values_of)
-        else:
-            words = f"the branch from {name} = {values[0]:g} has no solution there: {branch.reason}"
-            yield Row({}, words)
+        row = _row_alone(request, found[value], meanings) if value in found else Row({}, words)
+        kept = {key: number for key, number in row.values.items() if key not in request.parameters}
+        yield msgspec.structs.replace(row, values=kept)
 
 
 def started_at(scene: Scene, task: Task) -> Scene:
@@ -503,11 +498,9 @@ def compute(computer: bytes, task: Task, limit: float | None) -> Result:
     try:
         found: Result = in_worker(computer, task, limit)
         return found
-    except TimeoutError as error:
-        kind, reason = LATE, str(error)
-    except WorkerEndedError as error:
-        kind, reason = DIED, str(error)
-    return Result(kind=kind, reason=reason, seconds=time.perf_counter() - started)
+    except (TimeoutError, WorkerEndedError) as error:
+        kind = LATE if isinstance(error, TimeoutError) else DIED
+        return Result(kind=kind, reason=str(error), seconds=time.perf_counter() - started)
 
 
 def followed(request: Request) -> tuple[list[Branch], str]:

@@ -128,11 +128,8 @@ def _values(axis: RangeTable) -> tuple[Any, ...]:
     whole = isinstance(axis.start, int) and isinstance(axis.to, int) and not axis.log
     if whole and difference % count == 0:
         return (*range(int(axis.start), int(axis.to), int(difference) // count), axis.to)
-    ratio = axis.to / axis.start if axis.log else 1.0
-    between = (
-        axis.start * ratio ** (k / count) if axis.log else axis.start + difference * (k / count)
-        for k in range(1, count)
-    )
+    parts, ratio = [k / count for k in range(1, count)], axis.to / axis.start if axis.log else 1.0
+    between = [axis.start * ratio**part if axis.log else axis.start + difference * part for part in parts]
     return (float(axis.start), *map(float, between), float(axis.to))
 
 
@@ -192,8 +189,8 @@ def _named_paths(scene: Scene) -> dict[str, Path]:
         found |= {"mode": ("design", "mode"), "S": ("design", "S")}
     drawn = {} if scene.lattice is None else scene.lattice.parameters
     seeds: list[Path] = [("lattice", "parameters", name, "seed") for name, v in drawn.items() if hasattr(v, "seed")]
-    seeds += [("design", "seed")] if scene.design is not None else []
-    seeds += [("dynamics", "seed")] if scene.dynamics is not None and scene.dynamics.seed is not None else []
+    seeded = [name for name in ("design", "dynamics") if getattr(getattr(scene, name), "seed", None) is not None]
+    seeds += [(name, "seed") for name in seeded]
     if len(seeds) == 1:
         found.setdefault("seed", seeds[0])
     return found
@@ -261,14 +258,13 @@ class Grid:
             raise SceneError("[map]: missing; accepted: a scene with a [map]")
         grid = cls(axes_of(scene), scene.map.along)
         alone = (scene.equilibrium is not None or scene.orbit is not None) and scene.continuation is None
-        ranges = [axis.name for axis in grid.axes if axis.numeric and axis.paths[0][:2] == ("model", "parameters")]
+        of_model = [axis for axis in grid.axes if axis.numeric and axis.paths[0][:2] == ("model", "parameters")]
+        ranges = {axis.name: axis for axis in of_model}
         if grid.along is not None and not (alone and grid.along in ranges):
-            accepted = (
-                f"a range of a parameter ({', '.join(ranges) or 'none here'}), beside [equilibrium] or [orbit] alone"
-            )
-            raise refusal("[map] along", toml_repr(grid.along), accepted)
+            known = f"a range of a parameter ({', '.join(ranges) or 'none here'})"
+            raise refusal("[map] along", toml_repr(grid.along), f"{known}, beside [equilibrium] or [orbit] alone")
         if grid.along is None and alone and scene.orbit is not None and ranges:  # the longest, of these the last
-            longest = max(reversed(ranges), key=lambda name: len(next(a for a in grid.axes if a.name == name).values))
+            longest = max(reversed(ranges), key=lambda name: len(ranges[name].values))
             grid = replace(grid, along=longest, checked=True)
         grid._check(plain(scene))
         return grid

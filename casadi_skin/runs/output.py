@@ -27,9 +27,8 @@ Value = float | int | str | None
 
 def add_study_options(parser: argparse.ArgumentParser, default: Path) -> None:
     """Add the options that every study has: where its results go, and in which formats."""
-    parser.add_argument(
-        "--out", type=Path, default=default, metavar="DIR", help=f"directory of the results (default: {default})"
-    )
+    words = f"directory of the results (default: {default})"
+    parser.add_argument("--out", type=Path, default=default, metavar="DIR", help=words)
     words = "format of its pictures, once for each that is wanted (default: png)"
     parser.add_argument("--format", action="append", dest="formats", choices=FORMATS, help=words)
     parser.add_argument("--overwrite", action="store_true", help="replace what DIR holds of the same")

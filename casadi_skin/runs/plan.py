@@ -54,12 +54,9 @@ def chain_lines(scene: Scene) -> Lines | None:
     if chain is None or family is None or not asked <= KNOWN_TABLES | COMMON_TABLES or scene.accuracy.certify:
         return None
     known = MethodTable(corrector=scene.method.corrector, flow=scene.method.flow)
-    usual = (
-        scene.method == known
-        and scene.method.flow in (None, *methods.FLOWS)
-        and (scene.stability is None or scene.stability.sites is None)
-    )
-    if not usual or not _has_full_chain(chain, family):
+    usual = scene.method == known and known.flow in (None, *methods.FLOWS)
+    on_some = scene.stability is not None and scene.stability.sites is not None
+    if not usual or on_some or not _has_full_chain(chain, family):
         return None
     if scene.spectrum is not None and chain.alpha + stiffness(chain.sites, chain.gamma, 1) <= 0.0:
         return None
@@ -102,14 +99,13 @@ def _family_lines(
     if family.period_max is not None:
         end += f" or a period of {family.period_max:g}, whichever comes first"
     at = f", points exactly at {exactly}" if exactly else ""
+    unknowns = UNKNOWNS.get(method.transcription, "positions and velocities")
     lines = [
         ("families", f"j = {', '.join(map(str, modes))}, to {end}{at}; {family.max_points} points at most"),
         ("tolerance", f"{scene.accuracy.relative_tolerance:g}, relative, of Omega and the profile"),
-        ("symmetry", symmetry),
-        ("coordinates", coordinates),
-        ("transcription", f"{method.transcription}: {UNKNOWNS.get(method.transcription, 'positions and velocities')}"),
-        *(measured or [])[:-1],
-    ]
+        ("symmetry", symmetry), ("coordinates", coordinates),
+        ("transcription", f"{method.transcription}: {unknowns}"), *(measured or [])[:-1],
+    ]  # fmt: skip
     if not measured and sites is not None and method.transcription == methods.TRIGONOMETRIC:
         start = f"{cosines * sites + 2} at the start ({cosines} odd cosines a site, Omega and S)"
         lines.append(("unknowns", f"{start}; more where the tolerance asks for it"))
@@ -374,10 +370,9 @@ def _orbit_lines(request: Request) -> Lines:
         what += ", unfolded by a damping that comes back as zero" if model.hamiltonian is not None else ""
     else:
         what = f"{symmetry.reason}{selected}"
-    what += turning
-    if orbit.period is not None:
-        return [("orbit", what), ("guess", f"one period of {orbit.period:g} from {start}")]
-    return [("orbit", what), ("guess", f"the last cycle of a simulation for {orbit.transient:g} from {start}")]
+    cut = f"the last cycle of a simulation for {orbit.transient or 0.0:g}"
+    guess = cut if orbit.period is None else f"one period of {orbit.period:g}"
+    return [("orbit", what + turning), ("guess", f"{guess} from {start}")]
 
 
 def _problem_lines(request: Request) -> Lines:
@@ -403,10 +398,8 @@ def _unknowns(request: Request) -> Lines:
     orbit = () if model.forced else (PERIOD, UNFOLDING) if unfolded else (PERIOD,)
     free = orbit if problem is None else tuple(problem.free)
     also = f"and {', '.join(free)} " if free else ""
-    words = (
-        f"{cost.seconds:.2g} s and {memory_in_words(request)} for the first solution, within a factor of {UNCERTAINTY}"
-    )
+    words = f"{cost.seconds:.2g} s and {memory_in_words(request)} for the first solution, within a factor of"
     return [
         ("unknowns", f"{cost.unknowns} state values {also}on {cost.mesh}; more where the tolerance asks for it"),
-        ("expected cost", f"{words}; more on finer meshes, and each further point about half as long"),
+        ("expected cost", f"{words} {UNCERTAINTY}; more on finer meshes, and each further point about half as long"),
     ]

@@ -18,23 +18,9 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS, SolutionSpace
 from casadi_skin.model.interrupts import interrupts_deferred
-from casadi_skin.results import figures
+from casadi_skin.results import figures, tables
 from casadi_skin.results.dataset import dataset_of, write_csv, write_netcdf
 from casadi_skin.results.quantities import Cell, Place, certified, columns_of, csv_row, places_of
-from casadi_skin.results.tables import (
-    EVENT_COLUMNS,
-    GRADIENT_COLUMNS,
-    PROVED_COLUMNS,
-    TONGUE_COLUMNS,
-    UNRESOLVED,
-    edge_columns,
-    edge_rows,
-    event_rows,
-    gradient_rows,
-    tongue_rows,
-    write_series,
-    write_special_points,
-)
 from casadi_skin.runs.branches import Branches
 from casadi_skin.runs.directory import JOURNAL_FILE, renew
 from casadi_skin.runs.output import Progress, print_table
@@ -173,8 +159,8 @@ class Run(Branches):
         special = scene.continuation is not None and scene.continuation.gradient
         if changes or special:
             asked = ((name, branch, changes, special, self.failures) for name, branch in branches.items())
-            rows = [row for given in asked for row in gradient_rows(*given)]
-            write_csv(self.directory / "gradient.csv", GRADIENT_COLUMNS, rows)
+            rows = [row for given in asked for row in tables.gradient_rows(*given)]
+            write_csv(self.directory / "gradient.csv", tables.GRADIENT_COLUMNS, rows)
             self.derivatives = f"{len(rows)} derivatives of special points in gradient.csv; "
 
     def _picture(self, name: str, draw: Callable[..., Figure | None], *shown: Any) -> None:
@@ -186,13 +172,13 @@ class Run(Branches):
         if scene.stability is not None and any(branch.with_events for branch in branches):
             known = [(b, diagram) for b in branches if (diagram := b.diagram_of_changes) is not None]
             certify = scene.accuracy.certify
-            columns = (*EVENT_COLUMNS, *PROVED_COLUMNS) if certify else EVENT_COLUMNS
-            events = (event_rows(mode_of(b), d, *([b.certify_change] if certify else [])) for b, d in known)
+            columns = (*tables.EVENT_COLUMNS, *tables.PROVED_COLUMNS) if certify else tables.EVENT_COLUMNS
+            events = (tables.event_rows(mode_of(b), d, *([b.certify_change] if certify else [])) for b, d in known)
             write_csv(directory / "events.csv", columns, [row for rows in events for row in rows])
-            further = [row for b, d in known for row in edge_rows(mode_of(b), d, d.further)]
-            write_csv(directory / "further_events.csv", EVENT_COLUMNS, further)
-            tongues = [row for b, d in known for row in tongue_rows(mode_of(b), d)]
-            write_csv(directory / "tongues.csv", TONGUE_COLUMNS, tongues)
+            further = [row for b, d in known for row in tables.edge_rows(mode_of(b), d, d.further)]
+            write_csv(directory / "further_events.csv", tables.EVENT_COLUMNS, further)
+            tongues = [row for b, d in known for row in tables.tongue_rows(mode_of(b), d)]
+            write_csv(directory / "tongues.csv", tables.TONGUE_COLUMNS, tongues)
             sought = ((mode_of(b), p) for b in branches if b.with_events for p in b.passed_resonances or ())
             passed: list[tuple[Cell, ...]] = [(mode, *p.S, *p.Omega, p.changes, p.met) for mode, p in sought]
             rows = (dict(zip(PASSED_COLUMNS, row, strict=True)) for row in passed)
@@ -208,7 +194,7 @@ class Run(Branches):
         if scene.family is not None and scene.family.series is not None:
             with self.named("[family] "):
                 found = [branch.series(scene.family.series) for branch in branches]
-                write_series(found, directory, origin(self.request, self.scene_text, branches[0]))
+                tables.write_series(found, directory, origin(self.request, self.scene_text, branches[0]))
                 for branch, series in zip(branches, found, strict=True):
                     self._picture(f"series_j{series.mode}", figures.series_figure, branch, series)
         if scene.family is not None and scene.family.film:
@@ -223,7 +209,7 @@ class Run(Branches):
         """special_points.csv and the pictures of another branch, or of a single solution."""
         title = self.request.scene.title or ""
         if len(branch) > 1:
-            write_special_points(self.directory / "special_points.csv", {"": branch})
+            tables.write_special_points(self.directory / "special_points.csv", {"": branch})
             self._write_gradients({"": branch})
             self._picture("branch", figures.branch_figure, branch, title)
         self._picture("orbit", figures.orbit_figure, branch.solutions[-1], title)
@@ -241,7 +227,7 @@ class Run(Branches):
         first, title = next(iter(branches.values())), self.request.scene.title or ""
         if not first.parameter:
             return
-        write_special_points(self.directory / "special_points.csv", branches)
+        tables.write_special_points(self.directory / "special_points.csv", branches)
         self._write_gradients(branches)
         in_one = [branch for branch in branches.values() if not branch.space.kind]
         curves = [branch for branch in branches.values() if branch.space.kind]
@@ -256,7 +242,7 @@ class Run(Branches):
     def _write_offshoots(self, families: Sequence[Branch]) -> None:
         """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
         found, named = self.offshoots, {f"j{mode_of(family)}": family for family in families}
-        write_special_points(self.directory / "special_points.csv", {**named, **dict(found.leaving)})
+        tables.write_special_points(self.directory / "special_points.csv", {**named, **dict(found.leaving)})
         self._write_datasets({name: branch for name, branch in found.leaving if len(branch)})
         if found.edges:
             table = [row for edge in found.edges for row in _edge_rows(*edge)]
@@ -297,7 +283,7 @@ PASSED_COLUMNS = ("mode", "S_before", "S_after", "Omega_before", "Omega_after", 
 
 def _edge_rows(mode: int, listed: str, number: int, curve: EdgeCurve) -> Iterator[dict[str, Cell]]:
     """A row for each point of an edge."""
-    columns = edge_columns(curve)
+    columns = tables.edge_columns(curve)
     for k in range(len(curve)):
         values: dict[str, Cell] = {name: values[k].item() for name, values in columns.items()}
         yield {"mode": mode, "edge": number, "kind": curve.kind, "table": listed, **values}
@@ -426,7 +412,7 @@ def _diagram(run: Run, branches: Sequence[Branch]) -> tuple[list[str], Iterator[
                 for point in branch.special_points
             ]
             unresolved = [
-                (UNRESOLVED, {**first.parameters, branch.parameter: stretch.start},
+                (tables.UNRESOLVED, {**first.parameters, branch.parameter: stretch.start},
                  f"{abs(stretch.end - stretch.start):.1e}", stretch.kind)
                 for stretch in branch.passed_over
             ]  # fmt: skip

@@ -162,6 +162,4 @@ def _print_report(study: Study) -> None:
 
     for table in study.tables():
         Console().print(table)
-    for line in study.report():
-        print(line)
-    print(f"{study.done} {study.part}; {len(study.files)} files in {study.directory}")
+    print(*study.report(), f"{study.done} {study.part}; {len(study.files)} files in {study.directory}", sep="\n")

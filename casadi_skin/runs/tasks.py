@@ -96,17 +96,16 @@ class Dynamics(Task):
     def plan(self) -> Lines:
         """The orbit followed in time, and the method."""
         asked = self.asked
-        start = f", perturbed by {asked.size:g} {_direction(asked)}" if asked.size is not None else ""
+        kick = f"{asked.size:g} {_direction(asked)}" if asked.size is not None else ""
         end = f"t = {asked.duration:g}" if asked.duration is not None else f"{asked.periods:g} periods"
         samples = f"{asked.samples} times" if asked.samples is not None else "20 times a period, 401 to 4001 in all"
-        orbit = "the last orbit"
+        start = "the last orbit"
         if self.alone:
-            what = "velocities" if asked.moving else "displacements"
-            orbit, start = f"{what} of {asked.size:g} {_direction(asked)}, from rest", ""
+            start = f"{'velocities' if asked.moving else 'displacements'} of {kick}, from rest"
         elif self.request.families:
-            orbit = f"the orbit j = {asked.mode or self.request.families[0].mode}, S = {asked.S:g}"
-        words = f"{orbit}{start}, to {end}; {samples}; {asked.method}, tolerance {asked.tolerance:g}"
-        return [("dynamics", words)]
+            start = f"the orbit j = {asked.mode or self.request.families[0].mode}, S = {asked.S:g}"
+        start += f", perturbed by {kick}" if kick and not self.alone else ""
+        return [("dynamics", f"{start}, to {end}; {samples}; {asked.method}, tolerance {asked.tolerance:g}")]
 
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:
         """Follow the motion as far as that can be done; of branches that were computed."""
@@ -156,16 +155,14 @@ class Dynamics(Task):
         from casadi_skin.lattice.linear import lattice_modes
         from casadi_skin.runs.first_solution import start_near_rest
 
-        asked, model = self.asked, self.request.model
-        parameters = self.request.model_parameters
+        asked, model, parameters = self.asked, self.request.model, self.request.model_parameters
         if self.request.scene.lattice is not None:
             fastest = float(np.max(lattice_modes(model, parameters).frequencies.real))
         else:
             fastest = (equations_of_motion(model, parameters).linear_frequencies or (0.0, 0.0))[1]
         times = sample_times(asked, 2.0 * np.pi / fastest if fastest > 0.0 else asked.duration or 1.0)
-        return evolve(
-            model, *start_near_rest(self.request), times, asked.method, asked.tolerance, parameters=parameters
-        )
+        given = *start_near_rest(self.request), times, asked.method, asked.tolerance
+        return evolve(model, *given, parameters=parameters)
 
     def _write(self, orbit: Orbit | None, evolution: Evolution, directory: Path, scene_text: str) -> None:
         """dynamics.csv, dynamics.nc and the space-time picture; of a lattice also where its energy is."""
@@ -259,14 +256,10 @@ class Export(Task):
             of = f"the orbit j = {asked.mode or self.request.families[0].mode}, S = {asked.S:g}"
         elif self.request.scene.orbit is not None:
             of = "the last orbit"
-        lines = []
-        if asked.c is not None:
-            parts = "all parts that need libm only" if asked.c == "all" else ", ".join(asked.c)
-            lines.append(("export", f"C code of {of} in {EXPORT_FOLDER}/: {parts}"))
-        if asked.fmu is not None:
-            words = f"FMU of {of} in {asked.fmu}: FMI {asked.fmi}, Model Exchange and Co-Simulation"
-            lines.append(("export", words))
-        return lines
+        parts = "all parts that need libm only" if asked.c == "all" else ", ".join(asked.c or ())
+        code = f"C code of {of} in {EXPORT_FOLDER}/: {parts}" if parts else ""
+        fmu = f"FMU of {of} in {asked.fmu}: FMI {asked.fmi}, Model Exchange and Co-Simulation" if asked.fmu else ""
+        return [("export", words) for words in (code, fmu) if words]
 
     def run(self, run: Branches, directory: Path, scene_text: str) -> None:
         """Write the exports."""
@@ -334,12 +327,8 @@ class BestDesign(Task):
         with run.named("[design]: "):
             points = [_special_point(name, run.branches) for name in asked.of]
             problem = self.request.designed(points)
-            found = self.result = best_design(
-                problem,
-                problem.places(asked.starts, asked.seed),
-                self.request.tolerance,
-                lambda where: run.progress.say(str(where)),
-            )
+            starts, say = problem.places(asked.starts, asked.seed), lambda where: run.progress.say(str(where))
+            found = self.result = best_design(problem, starts, self.request.tolerance, say)
             if not found.found:
                 run.failures.append(f"[design]: {found.reason}")
             with interrupts_deferred():
@@ -390,20 +379,16 @@ def _write_lattice_spectrum(scene: Scene, lattice: Lattice, parameters: Mapping[
     from casadi_skin.results.figures.bands import band_figure, skin_figure
 
     modes, alike = lattice_modes(lattice, parameters), not lattice.declaration.differing
-    has_skin = alike and len(lattice.declaration.cells) == 1
-    if has_skin:
-        windings = winding_numbers(lattice, modes.squares, parameters)
-        sizes = np.abs(brillouin_zone(lattice, modes.squares, parameters)).mean(axis=1)
     columns: dict[str, Any] = {"mode": np.arange(modes.frequencies.size) + 1}
     columns |= {"omega": modes.frequencies.real, "growth": modes.frequencies.imag}
     columns |= {"participation": modes.participation, "left_participation": modes.left_participation}
     for name, centre, decay in zip(CELL_INDICES, modes.centre.T, modes.decay.T, strict=False):
         columns |= {f"centre_{name}": centre, f"decay_{name}": decay}
-    if has_skin:
-        columns |= {"winding_number": windings, "beta": sizes}
-    write_columns(directory / "spectrum.csv", columns)
-    if has_skin:
+    if alike and len(lattice.declaration.cells) == 1:
+        columns["winding_number"] = winding_numbers(lattice, modes.squares, parameters)
+        columns["beta"] = np.abs(brillouin_zone(lattice, modes.squares, parameters)).mean(axis=1)
         picture(scene, directory / "skin", skin_figure, lattice, parameters)
+    write_columns(directory / "spectrum.csv", columns)
     if modes.real and lattice.order == 2:
         picture(scene, directory / "spectrum", figures.spectrum_figure, lattice, parameters)
     if alike:

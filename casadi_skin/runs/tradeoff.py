@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from itertools import groupby
+from itertools import groupby, product
 from math import nan
 from pathlib import Path
 from statistics import median
@@ -127,23 +127,17 @@ def largest(errors: Array, kind: str) -> float:
 
 def settings_of(family: FamilyRequest, tolerances: Iterable[float]) -> list[Setting]:
     """The presets, every method that finds orbits and every flow map, at every tolerance, in this order."""
-    own, walker = str(family.method.transcription), str(family.method.walker)
-    presets = [
-        Setting(PRESET, name, own, walker, "ipopt", "splitting", tolerance)
-        for name, tolerance in PRESET_TOLERANCES.items()
-    ]
-    orbits = [
-        Setting(ORBITS, f"{transcription}, {continuation}, {corrector}", transcription, continuation, corrector, "", at)
-        for transcription in TRANSCRIPTIONS
-        if own == TRIGONOMETRIC or transcription != TRIGONOMETRIC
-        if not (transcription == SHOOTING and positions(family) > SHOOTING_POSITIONS)
-        for continuation in (CONTINUATIONS if transcription == TRIGONOMETRIC else ("arclength",))
-        if continuation in ("arclength", walker)
-        for corrector in reversed(list(CORRECTORS))
-        for at in tolerances
-    ]
+    own, walker, count = str(family.method.transcription), str(family.method.walker), positions(family)
+    found = [Setting(PRESET, name, own, walker, "ipopt", "splitting", at) for name, at in PRESET_TOLERANCES.items()]
+    for transcription in TRANSCRIPTIONS:
+        cosines, integrated = transcription == TRIGONOMETRIC, transcription == SHOOTING
+        if (cosines and own != TRIGONOMETRIC) or (integrated and count > SHOOTING_POSITIONS):
+            continue
+        walkers = [each for each in CONTINUATIONS if each == "arclength" or (cosines and each == walker)]
+        for how in product((transcription,), walkers, reversed(list(CORRECTORS))):
+            found += [Setting(ORBITS, ", ".join(how), *how, "", at) for at in tolerances]
     flows = [Setting(FLOW, flow, "", "", "", flow, at) for flow in FLOWS for at in tolerances]
-    return [*presets, *orbits, *(flows if positions(family) > 1 else [])]
+    return [*found, *(flows if count > 1 else [])]
 
 
 def positions(family: FamilyRequest) -> int:
@@ -332,13 +326,13 @@ class WorkPrecision(Study):
             measure(self.family, setting, reference, 0)
 
         def work(setting: Setting) -> None:
-            measured = measure(self.family, setting, reference, self.repeats)
+            measured, of_flow = measure(self.family, setting, reference, self.repeats), setting.kind == FLOW
             if not measured.failure and (not self.quick or setting.kind == PRESET):
                 memory = memory_of(setting.of(self.family), setting.kind != ORBITS)
                 measured = replace(measured, memory_MB=memory)
             self.measured.append(measured)
-            stem, of_flows = ("flows", True) if setting.kind == FLOW else ("tradeoff", False)
-            self.write_rows(stem, [m for m in self.measured if (m.kind == FLOW) == of_flows])
+            rows = [m for m in self.measured if (m.kind == FLOW) == of_flow]
+            self.write_rows("flows" if of_flow else "tradeoff", rows)
 
         try:
             self.work_through(settings, lambda setting: f"{setting.method}, tolerance {setting.tolerance:.0e}", work)
@@ -449,10 +443,9 @@ def preset_words(preset: Setting) -> str:
         return f"{start}{preset.failure}."
     errors = zip(ERRORS, preset.errors.tolist(), strict=True)
     known = ", ".join(f"{name} {error:.1e}" for name, error in errors if error == error)
-    over = preset.error / preset.tolerance
+    over, cost = preset.error / preset.tolerance, f"{duration(preset.seconds)} with multipliers"
     kept = "kept" if over <= 1.0 else f"missed by a factor {over:.2g}"
-    cost = f"{duration(preset.seconds)} with multipliers and {preset.points} points"
-    return f"{start}{cost}; true errors {known}; the tolerance is {kept}."
+    return f"{start}{cost} and {preset.points} points; true errors {known}; the tolerance is {kept}."
 
 
 def front_words(measured: Sequence[Setting], kind: str, known: Array) -> Iterator[str]:
@@ -545,9 +538,8 @@ def _look(setting: Setting) -> dict[str, Any]:
     names, markers = (list(FLOWS), FLOW_MARKERS) if of_flow else (list(TRANSCRIPTIONS), TRANSCRIPTION_MARKERS)
     place = names.index(setting.flow if of_flow else setting.transcription)
     colour, marker = colours(len(names))[place], markers[place % len(markers)]
-    look: dict[str, Any] = {"marker": marker, "color": colour, "ls": "-", "ms": 5.5 if of_flow else 5.0}
-    if setting.walker == "series":
-        look["ls"] = (0, (4.0, 1.5))
+    dashes = (0, (4.0, 1.5)) if setting.walker == "series" else "-"
+    look: dict[str, Any] = {"marker": marker, "color": colour, "ls": dashes, "ms": 5.5 if of_flow else 5.0}
     return look | ({"mfc": "white"} if setting.corrector == "ipopt" else {})
 
 
@@ -567,8 +559,7 @@ def _draw(axes: Axes, measured: Sequence[Setting], kind: str, known: Array) -> N
     for m in of_kind(measured, PRESET):
         error = largest(m.errors, kind)
         if error == error:
-            star: dict[str, Any] = {"ms": 11, "mfc": "black", "mec": "white", "mew": 0.8}
-            axes.plot(m.seconds, error, "*", label=label, zorder=6, **star)
+            axes.plot(m.seconds, error, "*", label=label, zorder=6, ms=11, mfc="black", mec="white", mew=0.8)
             box = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.6}
             axes.annotate(m.method, (m.seconds, error), (7, 6), textcoords="offset points", zorder=7, bbox=box)
             label = "_"
@@ -596,10 +587,12 @@ def work_precision_figure(family: FamilyRequest, measured: Sequence[Setting], kn
     lows, highs = zip(orbits.get_ylim(), multipliers.get_ylim(), strict=True)
     for axes in (orbits, multipliers):
         axes.set_ylim(min(lows), max(highs))
-    orbits.set(xlabel="processor time for the family without multipliers (s)")
-    orbits.set_ylabel(r"relative error of $\Omega$ or of the profile, the larger")
-    multipliers.set(xlabel=f"processor time for the multipliers of {len(family.targets.at)} orbits (s)")
-    multipliers.set_ylabel(r"error of $\mu$ relative to $\max(1, |\mu|)$")
+    of_orbits, of_mu = (
+        r"relative error of $\Omega$ or of the profile, the larger",
+        r"error of $\mu$ relative to $\max(1, |\mu|)$",
+    )
+    orbits.set(xlabel="processor time for the family without multipliers (s)", ylabel=of_orbits)
+    multipliers.set(xlabel=f"processor time for the multipliers of {len(family.targets.at)} orbits (s)", ylabel=of_mu)
     letter(orbits, "a", "orbits: transcription, walker, corrector")
     letter(multipliers, "b", "multipliers: flow map")
     if not of_kind(measured, FLOW):
