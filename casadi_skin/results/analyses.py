@@ -19,7 +19,7 @@ from casadi_skin.results.figures.designs import draw_path
 from casadi_skin.results.figures.evolutions import sizes_of
 from casadi_skin.results.figures.families import draw_series
 from casadi_skin.results.figures.multipliers import draw_moduli
-from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, number_sites, plain
+from casadi_skin.results.figures.style import AMPLITUDE_LABEL, draw_curves, next_colour, number_sites, plain
 from casadi_skin.results.tables import EVENT_COLUMNS, edge_rows, series_columns
 from casadi_skin.search.design import Design
 from casadi_skin.search.fit import Fit
@@ -48,8 +48,7 @@ def _(result: StabilityDiagram) -> words.Shown:
     rows += [("tongues", f"{count}, deepest log |multiplier| {deepest:.6g}"), words.stretches(result.unresolved)]
 
     def draw(axes: Axes) -> None:
-        colour = axes._get_lines.get_next_color()  # type: ignore[attr-defined]
-        draw_moduli(axes, result, colour, "family")
+        draw_moduli(axes, result, next_colour(axes), "family")
         axes.set(xlabel=AMPLITUDE_LABEL, ylabel=r"largest $|\lambda|$ over a period")
 
     def columns() -> words.Columns:

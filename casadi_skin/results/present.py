@@ -61,9 +61,8 @@ def to_dataset(result: Any) -> xarray.Dataset:
     if isinstance(result, Branch):
         return branch_to_xarray(result)
     if isinstance(result, Diagram):
-        raise ValueError(
-            "to_xarray: given a diagram, whose branches have dimensions of their own; accepted: one branch"
-        )
+        words = "given a diagram, whose branches have dimensions of their own"
+        raise ValueError(f"to_xarray: {words}; accepted: one branch")
     shown = show(result)
     columns = shown.columns()
     index = next(iter(columns))

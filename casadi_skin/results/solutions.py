@@ -19,7 +19,7 @@ from casadi_skin.results import words
 from casadi_skin.results.figures.branches import courses, draw_edge, draw_marks, draw_pieces, stability_pieces
 from casadi_skin.results.figures.families import family_path, family_pieces
 from casadi_skin.results.figures.multipliers import draw_plane
-from casadi_skin.results.figures.style import amplitude_label, draw_curves, plain
+from casadi_skin.results.figures.style import amplitude_label, draw_curves, next_colour, plain
 from casadi_skin.results.quantities import numbers_of, unique_names
 from casadi_skin.results.tables import edge_columns
 from casadi_skin.stability.result import CutTail, Floquet
@@ -157,19 +157,13 @@ def _(result: Branch) -> words.Shown:
             path = np.column_stack([_along(result, first), _along(result, second)])
             pieces = stability_pieces(result, path) if first == result.parameter else [(None, path)]
             labels = plain(first), plain(second)
-        if colour is None:
-            colour = _next_colour(axes)
+        colour = next_colour(axes) if colour is None else colour
         kind = {FAMILY: "", ORBITS: "orbits", EQUILIBRIA: "equilibria"}.get(space.connects, "solutions")
         draw_pieces(axes, result, path, pieces, colour, kind)
         draw_marks(axes, result, path, colour)
         axes.set(xlabel=labels[0], ylabel=labels[1])
 
     return words.Shown(f"{what} of {words.model_words(space.model)}", [*rows, ("end", result.reason)], draw)
-
-
-def _next_colour(axes: Axes) -> Any:
-    """That of the next line, as `axes.plot` takes."""
-    return axes._get_lines.get_next_color()  # type: ignore[attr-defined]
 
 
 def _second(branch: Branch) -> str:
@@ -203,7 +197,7 @@ def _(result: Diagram) -> words.Shown:
     first = result.branches[0]
 
     def draw(axes: Axes, x: str | None = None, y: str | None = None) -> None:
-        colours = [_next_colour(axes), _next_colour(axes)]
+        colours = [next_colour(axes), next_colour(axes)]
         for branch in result.branches:
             words.show(branch).draw(axes, x=x, y=y, colour=colours[branch.space.connects == ORBITS])
 
@@ -300,10 +294,10 @@ def _(result: Spectrum) -> words.Shown:
                 axes.plot(shown.real, shown.imag, mark, ms=4.5, mfc="none", label=label, zorder=3)
         axes.set(xlabel="real part", ylabel="imaginary part")
 
-    title = "Eigenvalues of the linearisation"
-    return words.Shown(
-        title, rows, draw, "eigenvalues", lambda: _plane("eigenvalue", result.values, error=result.errors)
-    )
+    def columns() -> words.Columns:
+        return _plane("eigenvalue", result.values, error=result.errors)
+
+    return words.Shown("Eigenvalues of the linearisation", rows, draw, "eigenvalues", columns)
 
 
 def _plane(index: str, values: Any, **more: Any) -> words.Columns:

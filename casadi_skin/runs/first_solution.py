@@ -20,7 +20,7 @@ from casadi_skin.model.ode import OdeModel
 from casadi_skin.results.branch_records import BranchRecord, CycleRecord, data_of, value_of
 from casadi_skin.results.store import DAMAGED_FILE_ERRORS
 from casadi_skin.runs.request import Request
-from casadi_skin.runs.scene import SELECTED, EquilibriumTable
+from casadi_skin.runs.scene import SELECTED
 from casadi_skin.zero.problem import Array
 
 CYCLE_SAMPLES = 801  # of the cycle that is the guess
@@ -33,8 +33,9 @@ def first_solution(request: Request, simulated: Cycle | None = None) -> Solution
     Raises EquilibriumError and BoundaryError where none is found, IntegrationError and ValueError where `cycle` does,
     ValueError where the guess is none.
     """
-    if request.scene.equilibrium is not None:
-        return _equilibrium(request, request.scene.equilibrium)
+    if (table := request.scene.equilibrium) is not None:
+        how: dict[str, Any] = {"transient": table.transient, "tolerance": request.tolerance}
+        return find_equilibrium(request.equations, table.start, parameters=request.parameters, **how)
     if request.problem is not None:
         assert request.guess is not None  # as the scene has a [solution]
         solution: Solution = request.problem.solve(request.guess, **request.options)
@@ -42,19 +43,12 @@ def first_solution(request: Request, simulated: Cycle | None = None) -> Solution
     return _orbit(request, simulated or cycle(request), request.options)
 
 
-def _equilibrium(request: Request, table: EquilibriumTable) -> Solution:
-    return find_equilibrium(
-        request.equations, table.start, parameters=request.parameters, transient=table.transient,
-        tolerance=request.tolerance,
-    )  # fmt: skip
-
-
 def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
     orbit, model, values = request.scene.orbit, request.equations, dict(request.parameters)
     assert orbit is not None
     if orbit.rotations:
         guess = replace(guess, turns=turns_of(orbit.rotations, model))
-        options = options | {"rotations": orbit.rotations}
+        options |= {"rotations": orbit.rotations}
     if model.forced:
         return find_orbit(model, guess, parameters=values, cycles=orbit.cycles, **options)
     select, section = request.condition(orbit.select), request.condition(orbit.section)
@@ -63,10 +57,8 @@ def _orbit(request: Request, guess: Cycle, options: dict[str, Any]) -> Orbit:
         ((name, values[SELECTED]),) = (orbit.select or {}).items()
         model, expression = model.with_parameter(SELECTED, request.quantity(name))
         select = expression - model.parameters[-1]
-    return find_orbit(
-        model, guess, guess.period, parameters=values, select=select, section=section, symmetric=orbit.symmetric,
-        **options,
-    )  # fmt: skip
+    options |= {"select": select, "section": section, "symmetric": orbit.symmetric}
+    return find_orbit(model, guess, guess.period, parameters=values, **options)
 
 
 def cycle(request: Request) -> Cycle:
@@ -112,11 +104,9 @@ def _last_turn(simulated: Evolution, turns: tuple[int, ...]) -> Cycle:
     left = (angle[-1] - 2.0 * np.pi * turns[component] - angle) * np.sign(turns[component])
     before = np.flatnonzero(left >= 0.0)
     if before.size == 0:
-        name = simulated.equations.physical.state_names[component]
-        raise ValueError(
-            f"[orbit] rotations: {name} makes no {turns[component]} turns in the simulation; accepted: a longer "
-            "transient, a start that rotates, or a period"
-        )
+        words = f"{simulated.equations.physical.state_names[component]} makes no {turns[component]} turns"
+        accepted = "a longer transient, a start that rotates, or a period"
+        raise ValueError(f"[orbit] rotations: {words} in the simulation; accepted: {accepted}")
     i = int(before[-1])
     part = left[i] / (left[i] - left[i + 1])
     start = float(simulated.t[i] + part * (simulated.t[i + 1] - simulated.t[i]))
@@ -171,9 +161,6 @@ def _from_section(found: Cycle, section: Expression) -> Cycle:
 
 def start_near_rest(request: Request) -> tuple[Array, Array | None]:
     """The state that a scene without an orbit starts from; raises ValueError for one that the model does not have."""
-    dynamics = request.scene.dynamics
-    assert dynamics is not None
-    return initial_state(
-        request.model, dynamics.size or 0.0, mode=dynamics.mode, site=dynamics.site, vector=dynamics.vector,
-        seed=dynamics.seed, moving=dynamics.moving, parameters=request.model_parameters,
-    )  # fmt: skip
+    dynamics: Any = request.scene.dynamics
+    start = {name: getattr(dynamics, name) for name in ("mode", "site", "vector", "seed", "moving")}
+    return initial_state(request.model, dynamics.size or 0.0, **start, parameters=request.model_parameters)

@@ -141,16 +141,16 @@ class Run(Branches):
             return
         vectors = scene.stability is not None and scene.stability.vectors
         dataset = replace(dataset_of(branches, vectors), attributes=origin(self.request, self.scene_text, first))
-        if first.space.is_family:
-            write_netcdf(self.directory / "family.nc", dataset)
-            self._write_families(branches)
-            leaving = dict(self.offshoots.leaving) if scene.continuation is not None else {}
-            self._write_gradients({**{f"j{mode_of(branch)}": branch for branch in branches}, **leaving})
-        else:
+        if not first.space.is_family:
             write_netcdf(self.directory / "branch.nc", dataset)
             self._write_branch(first)
-        if scene.family is not None and scene.continuation is not None:
-            self._write_offshoots(branches)
+            return
+        write_netcdf(self.directory / "family.nc", dataset)
+        self._write_families(branches)
+        families = {f"j{mode_of(branch)}": branch for branch in branches}
+        self._write_gradients(families | dict(self.offshoots.leaving))
+        if scene.continuation is not None:
+            self._write_offshoots(families)
 
     def _write_gradients(self, branches: Mapping[str, Branch]) -> None:
         """gradient.csv: of special points of branches by name, of families of their changes of stability too."""
@@ -239,10 +239,10 @@ class Run(Branches):
             if shown:
                 self._picture(name, draw, shown, title)
 
-    def _write_offshoots(self, families: Sequence[Branch]) -> None:
+    def _write_offshoots(self, families: Mapping[str, Branch]) -> None:
         """special_points.csv; edges.csv with its picture; a netCDF file for each branch that leaves."""
-        found, named = self.offshoots, {f"j{mode_of(family)}": family for family in families}
-        tables.write_special_points(self.directory / "special_points.csv", {**named, **dict(found.leaving)})
+        found = self.offshoots
+        tables.write_special_points(self.directory / "special_points.csv", {**families, **dict(found.leaving)})
         self._write_datasets({name: branch for name, branch in found.leaving if len(branch)})
         if found.edges:
             table = [row for edge in found.edges for row in _edge_rows(*edge)]
@@ -254,8 +254,7 @@ class Run(Branches):
         """Report orbits without a proof."""
         for branch in branches:
             proofs = certified(branch)
-            missing = [orbit for orbit in proofs if not orbit.certificate.proved]
-            if missing:
+            if missing := [orbit for orbit in proofs if not orbit.certificate.proved]:
                 count = f"mode {mode_of(branch)}: {len(missing)} of {len(proofs)} orbits are not proved"
                 first = f"the first at S = {missing[0].S:.6g}: {missing[0].certificate.reason}"
                 self.failures.append(f"[accuracy] certify: {count}, {first}")
@@ -269,11 +268,9 @@ class Run(Branches):
         off = [f for f in found if f.trivial_deviation > f.allowed_deviation]
         if off:
             worst = max(off, key=lambda f: f.trivial_deviation / f.allowed_deviation)
-            count = f"{len(off)} of {len(found)} points"
+            count = f"the trivial multiplier is off at {len(off)} of {len(found)} points"
             size = f"by up to {worst.trivial_deviation:.1e} where {worst.allowed_deviation:.1e} is allowed"
-            self.failures.append(
-                f"[stability]: the trivial multiplier is off at {count}, {size}; try a smaller tolerance"
-            )
+            self.failures.append(f"[stability]: {count}, {size}; try a smaller tolerance")
 
 
 # Files of branches and of linear spectra ------------------------------------------------------------------------------

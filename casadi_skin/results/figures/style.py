@@ -279,6 +279,11 @@ def colours(count: int) -> Array:
     return np.asarray(colormaps["viridis"](np.linspace(0.05 if count > 1 else 0.4, 0.8, count)))
 
 
+def next_colour(axes: Axes) -> Any:
+    """That of the next line, as `axes.plot` takes."""
+    return axes._get_lines.get_next_color()  # type: ignore[attr-defined]
+
+
 def draw_curves(axes: Axes, x: Array, curves: Mapping[str, Any], in_cycle: bool = False, **look: Any) -> None:
     """Curves over x with labels, told apart by dashes and by colours: from dark to light, or those of the axes."""
     shades = [None] * len(curves) if in_cycle else colours(len(curves))
