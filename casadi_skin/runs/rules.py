@@ -398,7 +398,9 @@ def _orbit_of_family(s: Seen, name: str) -> Rules:
     table = getattr(s, name)
     if not (s.family and table.S):
         return
-    yield f"{name} mode", len(s.modes) > 1 and MISSING, f"one of the modes of [family], {toml_repr(s.modes)}"
+    modes = f"one of the modes of [family], {toml_repr(s.modes)}"
+    yield f"{name} mode", len(s.modes) > 1 and MISSING, modes
+    yield f"{name} mode", table.mode not in s.modes and str not in map(type, s.modes), modes
     most = s.family.amplitude_max
     yield f"{name} S", most < table.S, f"a number <= amplitude_max = {most!r}"
 
