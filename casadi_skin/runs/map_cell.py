@@ -269,7 +269,8 @@ def _instabilities(branch: Branch, growth: float, failed: list[str] | None) -> N
         yield "first_tongue", tongue, "kind of the first instability, and the modes that meet there"
     if diagram is not None:
         yield "unresolved", len(branch.unresolved), "stretches on which changes of stability may be missing"
-    yield "changes", len(branch.changes), "changes of stability; where stretches are unresolved, at least so many"
+    words = "changes of stability along the branch; where stretches are unresolved, at least so many"
+    yield "changes", len(branch.changes), words
 
 
 def _special_names(kind: str) -> tuple[str, str, str]:

@@ -472,6 +472,7 @@ def _of_map(s: Seen) -> Rules:
         several = len(s.modes) > 1 and not moved & {"mode", "family.mode"}
         yield "map boundary", several and "with several families in a cell", "one, or an axis mode"
     else:
-        others, accepted = s.continuation or s.solution or s.design, "with [family], or [equilibrium] or [orbit] alone"
+        others = s.continuation or s.solution or s.design
+        accepted = "with [family], or with [equilibrium] or [orbit] alone"
         yield "map boundary", others and "with a scene of other branches", accepted
         yield "map boundary", s.orbit and not s.stability and "without [stability]", "beside [orbit] with a [stability]"
