@@ -17,12 +17,11 @@ from casadi_skin import __version__
 from casadi_skin.solve.watch import one_thread
 
 HISTORY = Path(__file__).parent / "history.csv"
-COLUMNS = ("date", "version", "python", "numpy", "casadi", "case", "solves", "points", "solves_per_40_points")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--record", action="store_true", help="add what benchmarks measure to tests/benchmarks/history.csv"
+        "--record", action="store_true", help="keep what benchmarks measure in tests/benchmarks/history.csv"
     )
 
 
@@ -43,7 +42,7 @@ def unit() -> float:
 
 @pytest.fixture
 def record(unit: float, request: pytest.FixtureRequest) -> Callable[[str, float, int], None]:
-    """Prints a case's seconds as multiples of the unit, and keeps them where asked to."""
+    """Prints a case's seconds as multiples of the unit, and keeps them as the last of this version where asked to."""
 
     def keep(case: str, value: float, points: int) -> None:
         solves, forty = value / unit, 40 * value / unit / points
@@ -51,11 +50,10 @@ def record(unit: float, request: pytest.FixtureRequest) -> Callable[[str, float,
         if request.config.getoption("--record"):
             today = datetime.date.today().isoformat()
             versions = (__version__, platform.python_version(), np.__version__, casadi.__version__)
-            new = not HISTORY.exists()
-            with HISTORY.open("a", newline="") as file:
+            with HISTORY.open(newline="") as file:
+                kept = [row for row in csv.reader(file) if (row[1], row[5]) != (__version__, case)]
+            with HISTORY.open("w", newline="") as file:
                 writer = csv.writer(file, lineterminator="\n")
-                if new:
-                    writer.writerow(COLUMNS)
-                writer.writerow((today, *versions, case, round(solves), points, round(forty)))
+                writer.writerows([*kept, (today, *versions, case, round(solves), points, round(forty))])
 
     return keep

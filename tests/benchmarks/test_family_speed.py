@@ -1,6 +1,6 @@
 """Cost of families as multiples of `numpy.linalg.solve` on a dense 193 x 193 system timed in the same run, one thread.
 
-Run with `pytest -m benchmark -s tests/benchmarks`; with `--record` what is measured is added to history.csv. Nothing
+Run with `pytest -m benchmark -s tests/benchmarks`; with `--record` what is measured is kept in history.csv. Nothing
 here asserts a time; results are checked, ratios printed. The multiple carries over between machines.
 """
 
