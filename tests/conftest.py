@@ -18,6 +18,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 from apart import cli as cli
 from kernels import needs_kernels, numpy_alone  # numpy is imported with them, which reads these
+from outputs import run_example as run_example
 from scenes import run as run
 
 from casadi_skin.follow import family

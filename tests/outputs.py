@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import pytest
+
+RunExample = Callable[..., Any]
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -32,3 +37,15 @@ def module_at(path: Path) -> ModuleType:
 def drawn(path: Path) -> bool:
     """Whether a file is a PNG with something in it."""
     return path.read_bytes()[:4] == b"\x89PNG" and path.stat().st_size > 10_000
+
+
+@pytest.fixture
+def run_example(tmp_path: Path) -> RunExample:
+    """Runs an example by name, which draws its picture."""
+
+    def run(name: str, *arguments: object, **options: object) -> Any:
+        found = load(name).main(tmp_path / "picture.png", *arguments, **options)
+        assert drawn(tmp_path / "picture.png")
+        return found
+
+    return run

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from outputs import drawn, load
+from outputs import RunExample, load
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
-def test_bratu_fold(tmp_path: Path) -> None:
-    branch = load("bratu_fold").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+
+def test_bratu_fold(run_example: RunExample) -> None:
+    branch = run_example("bratu_fold")
     assert [round(fold["lambda"], 9) for fold in branch.folds] == [3.513830719]  # Bratu 1914: 8 (z^2 - 1), z tanh z = 1
     for which, bracket in enumerate(((0.0, 4.5), (4.5, 20.0))):  # u(1/2) = 2 log cosh(theta/4), lambda = 1
         theta = brentq(lambda z: z - np.sqrt(2.0) * np.cosh(z / 4.0), *bracket, xtol=1e-15)
         assert abs(branch.at(1.0, which).evaluate(0.5)[0] - 2.0 * np.log(np.cosh(theta / 4.0))) < 1e-7
 
 
-@pytest.mark.slow
-def test_reaction_diffusion(tmp_path: Path) -> None:
+def test_reaction_diffusion(run_example: RunExample) -> None:
     """Where the trace of the reaction with an eigenvalue of the second differences vanishes."""
     cells, (A, B, D) = 60, (2.0, 5.45, 0.012)
-    branch = load("reaction_diffusion").main(tmp_path / "picture.png", cells)
-    assert drawn(tmp_path / "picture.png")
+    branch = run_example("reaction_diffusion", cells)
     kappa = 4.0 * (cells + 1) ** 2 * np.sin(0.5 * np.pi * np.arange(1, 4) / (cells + 1)) ** 2
     exact = np.sqrt(D * kappa / (B - 1.0 - A**2))
     np.testing.assert_allclose([point.parameters["L"] for point in branch.special_points], exact, rtol=1e-10)
@@ -34,23 +30,19 @@ def test_reaction_diffusion(tmp_path: Path) -> None:
     assert branch.solutions[-1].unstable == 6
 
 
-@pytest.mark.slow
-def test_oscillating_reaction(tmp_path: Path) -> None:
+def test_oscillating_reaction(run_example: RunExample) -> None:
     """From the Hopf point of `test_reaction_diffusion`, with few multipliers and a bound of the others."""
     cells = 60
-    branch = load("oscillating_reaction").main(tmp_path / "picture.png", cells, 4)
-    assert drawn(tmp_path / "picture.png")
+    branch = run_example("oscillating_reaction", cells, 4)
     kappa = 4.0 * (cells + 1) ** 2 * np.sin(0.5 * np.pi / (cells + 1)) ** 2
     assert abs(branch.values[0] - np.sqrt(0.012 * kappa / (5.45 - 1.0 - 4.0))) < 1e-10
     found = [orbit.floquet() for orbit in branch.orbits[1:]]
     assert all(one.stable and one.multipliers.size < 12 and one.beyond < 0.2 for one in found)
 
 
-@pytest.mark.slow
-def test_turning_orbits(tmp_path: Path) -> None:
+def test_turning_orbits(run_example: RunExample) -> None:
     """Both sides of the separatrix end at E = 1; Melnikov's integral gives the junction's end, 4 c/pi for small c."""
-    swings, turns, carries = load("turning_orbits").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+    swings, turns, carries = run_example("turning_orbits")
     assert [branch.special_points[0].kind for branch in (swings, turns, carries)] == [
         "heteroclinic",
         *["homoclinic"] * 2,
@@ -61,10 +53,8 @@ def test_turning_orbits(tmp_path: Path) -> None:
     assert abs(carries.special_points[0].parameters["I"] - 4.0 * 0.5 / np.pi) < 0.05
 
 
-@pytest.mark.slow
-def test_van_der_pol(tmp_path: Path) -> None:
-    branch = load("van_der_pol").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_van_der_pol(run_example: RunExample) -> None:
+    branch = run_example("van_der_pol")
     assert abs(branch.at(1.0).period - 6.6632868593231301897) < 1e-9  # Hairer, Norsett and Wanner 1993, exercise I.16.1
     orbit = branch.at(10.0)
     run = solve_ivp(
@@ -75,10 +65,8 @@ def test_van_der_pol(tmp_path: Path) -> None:
     assert abs(orbit.period - 19.078369567) < 1e-8
 
 
-@pytest.mark.slow
-def test_forced_duffing(tmp_path: Path) -> None:
-    branch = load("forced_duffing").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_forced_duffing(run_example: RunExample) -> None:
+    branch = run_example("forced_duffing")
     for fold in branch.folds:  # where a multiplier is 1
         assert np.abs(fold.floquet().multipliers - 1.0).min() < 1e-3
     assert [branch.at(2.0, which).floquet().stable for which in range(3)] == [True, False, True]
@@ -91,11 +79,8 @@ def test_forced_duffing(tmp_path: Path) -> None:
         np.testing.assert_allclose(run.y[:, -1], orbit.evaluate(0.0), atol=1e-6)
 
 
-@pytest.mark.slow
-def test_lyapunov_orbit(tmp_path: Path) -> None:
-    example = load("lyapunov_orbit")
-    branch = example.main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_lyapunov_orbit(run_example: RunExample) -> None:
+    branch = run_example("lyapunov_orbit")
     orbit, mu = branch.at(-1.55), 0.0121505856
 
     def field(_: float, s: np.ndarray) -> list[float]:
@@ -110,21 +95,17 @@ def test_lyapunov_orbit(tmp_path: Path) -> None:
     assert abs(orbit.period - 3.1237510090) < 1e-8
 
 
-@pytest.mark.slow
-def test_boundary_layer(tmp_path: Path) -> None:
+def test_boundary_layer(run_example: RunExample) -> None:
     example = load("boundary_layer")
-    found = example.main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+    found = run_example("boundary_layer")
     for solution in found:
         assert example.true_error(solution) <= solution.error <= 1e-7
         assert solution.intervals <= 60
     assert found[-1]["eps"] == 1e-6
 
 
-@pytest.mark.slow
-def test_colpitts(tmp_path: Path) -> None:
-    branches, chaos = load("colpitts").main(tmp_path / "picture.png")
-    assert drawn(tmp_path / "picture.png")
+def test_colpitts(run_example: RunExample) -> None:
+    branches, chaos = run_example("colpitts")
     (hopf,), *doublings = (branch.special_points for branch in branches)
     R = 2**0.5 / 1.4
     assert abs(hopf.parameters["bias"] - 2.0 * R) < 1e-12

@@ -10,6 +10,8 @@ from scipy.special import ellipk
 
 from casadi_skin.runs.output import Progress
 
+pytestmark = pytest.mark.slow
+
 MODEL = """
 import casadi as ca
 from casadi_skin import BoundaryValueProblem, OdeModel
@@ -36,7 +38,6 @@ def scene(run: Runs, name: str, rest: str) -> str:
     return written(run.folder, MODEL, name, f"[solution]\nguess = {{ {guess} }}\n{rest}")
 
 
-@pytest.mark.slow
 def test_the_example_of_a_heated_slab(run: Runs) -> None:
     printed = run(EXAMPLES / "heated_slab.toml").out
     points = run.rows("special_points")
@@ -49,7 +50,6 @@ def test_the_example_of_a_heated_slab(run: Runs) -> None:
     assert "equilibria" not in printed
 
 
-@pytest.mark.slow
 def test_bent_columns_and_the_load_at_which_they_bend(run: Runs) -> None:
     rest = '[continuation]\nparameter = "lam"\nto = 15.0\nswitch = ["branch point"]\n'
     rest += 'curve = { parameter = "q", to = 4.0 }\n'
@@ -64,7 +64,6 @@ def test_bent_columns_and_the_load_at_which_they_bend(run: Runs) -> None:
     assert 2.0 * ellipk(np.sin(0.5 * largest) ** 2) / np.sqrt(15.0) == pytest.approx(1.0, abs=1e-7)
 
 
-@pytest.mark.slow
 def test_two_branches_that_cross_in_one_place_are_one_point_of_a_scene(run: Runs) -> None:
     """At p = 1 and 2, where sin(p pi x) solves the linear problem of both."""
     rest = '[continuation]\nparameter = "p"\nto = 2.3\n'
@@ -75,7 +74,6 @@ def test_two_branches_that_cross_in_one_place_are_one_point_of_a_scene(run: Runs
         assert abs(float(point["p"]) - exact) <= float(point["error"]) < 1e-9
 
 
-@pytest.mark.slow
 def test_solutions_of_two_turns_are_a_branch_of_the_diagram(run: Runs) -> None:
     """x' = a x - x^3 with x(1) = -x(0): x = 0, and x = sqrt(a) after two turns."""
     rest = '[continuation]\nparameter = "a"\nto = 0.4\nswitch = ["period doubling"]\n[stability]\n'
@@ -89,7 +87,6 @@ def test_solutions_of_two_turns_are_a_branch_of_the_diagram(run: Runs) -> None:
     assert "period doubling" in printed
 
 
-@pytest.mark.slow
 def test_multipliers_of_solutions_that_close_survive_an_interruption(
     run: Runs, monkeypatch: pytest.MonkeyPatch
 ) -> None:

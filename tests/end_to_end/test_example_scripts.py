@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from drawing import blank_pictures
-from outputs import EXAMPLES, drawn, load, read_rows
+from outputs import EXAMPLES, RunExample, load, read_rows
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Orbit, distance_from_orbit, evolve
 from casadi_skin.runs.program import main
 
-Run = Callable[..., Any]
 PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Run:
-    """Runs an example by name, which draws its picture."""
-
-    def run(name: str, *arguments: object, **options: object) -> Any:
-        found = load(name).main(tmp_path / "picture.png", *arguments, **options)
-        assert drawn(tmp_path / "picture.png")
-        return found
-
-    return run
-
-
-def test_gradients(run: Run) -> None:
+def test_gradients(run_example: RunExample) -> None:
     """Against the derivatives of the closed form, and its spread over the draws."""
-    hopf, gradient, places = run("gradients")
+    hopf, gradient, places = run_example("gradients")
     module, h = load("gradients"), 1e-4
     for name, (by_sigma, by_beta) in {"sigma": (h, 0.0), "beta": (0.0, h)}.items():
         sides = (module.closed_form(10.0 + k * by_sigma, 8 / 3 + k * by_beta) for k in (1.0, -1.0))
@@ -42,9 +27,9 @@ def test_gradients(run: Run) -> None:
     assert gradient.spread({"sigma": 0.5, "beta": 0.1}) == pytest.approx(np.std(places), rel=0.05)
 
 
-def test_fit_of_a_neuron(run: Run) -> None:
+def test_fit_of_a_neuron(run_example: RunExample) -> None:
     """The planted parameters within three deviations, of all together too."""
-    module, fit = load("fit_neuron"), run("fit_neuron")
+    module, fit = load("fit_neuron"), run_example("fit_neuron")
     assert fit.found
     off = np.array([(fit[name] - value) / fit.deviations[name] for name, value in module.planted.items()])
     assert np.max(np.abs(off)) < 3.0
@@ -70,8 +55,8 @@ def physical_flow(orbit: Orbit, perturbations: np.ndarray, time: float) -> np.nd
 
 
 @pytest.mark.slow
-def test_follow_one_family(run: Run) -> None:
-    branch = run("follow_one_family")
+def test_follow_one_family(run_example: RunExample) -> None:
+    branch = run_example("follow_one_family")
     reference = {0.2: 1.036393147166972, 1.0: 1.018532435491958, 3.0: 0.765958900020734}  # independent codes
     for S, Omega in reference.items():
         assert abs(branch.at(S=S).Omega / Omega - 1) < 1e-9
@@ -83,8 +68,8 @@ def test_follow_one_family(run: Run) -> None:
     assert abs(slope) < 1e-4 * abs(elsewhere)
 
 
-def test_backbone_series(run: Run) -> None:
-    branch, series = run("backbone_series")
+def test_backbone_series(run_example: RunExample) -> None:
+    branch, series = run_example("backbone_series")
     assert abs(series.radius - 0.962068) <= series.radius_error < 0.05  # of 120 orders
     inside = series.radius - 2 * series.radius_error > branch.S
     miss = np.abs(series.frequency(branch.S[inside]) - branch.Omega[inside])
@@ -92,16 +77,16 @@ def test_backbone_series(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_stability_boundary(run: Run) -> None:
-    found = run("stability_boundary", np.array([0.2, 0.3]))
+def test_stability_boundary(run_example: RunExample) -> None:
+    found = run_example("stability_boundary", np.array([0.2, 0.3]))
     # Scans in steps of 1e-5 by another program; windows of 3e-4 and 2e-5 in S.
     np.testing.assert_allclose(found[:, 0, 0], [0.15880, 0.02295], atol=6e-6)
     assert np.all(found[:, 0, 1] < 1e-9)
 
 
 @pytest.mark.slow
-def test_floquet_vectors(run: Run) -> None:
-    orbit, multipliers, vectors = run("floquet_vectors")
+def test_floquet_vectors(run_example: RunExample) -> None:
+    orbit, multipliers, vectors = run_example("floquet_vectors")
     assert abs(np.abs(multipliers).max() - 1.1712757348) < 1e-9  # independent code
     chosen = [2, 3, 10, 25, int(np.argmax(np.abs(multipliers)))]
     parts = np.hstack([vectors[:, chosen].real, vectors[:, chosen].imag])
@@ -111,17 +96,17 @@ def test_floquet_vectors(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_proved_orbits(run: Run) -> None:
+def test_proved_orbits(run_example: RunExample) -> None:
     pytest.importorskip("flint")
-    found = run("proved_orbits", chains=12)
+    found = run_example("proved_orbits", chains=12)
     assert len(found) == 12
     assert np.all(found[:, 1] <= found[:, 0])  # every estimate is honest
     assert np.all((found[:, 2] > 0) & (found[:, 2] < 2e-15))
 
 
-def test_kick_from_the_far_end(run: Run) -> None:
+def test_kick_from_the_far_end(run_example: RunExample) -> None:
     example = load("kick_from_the_far_end")
-    orbit, growth = run("kick_from_the_far_end")
+    orbit, growth = run_example("kick_from_the_far_end")
     kicks = np.stack([example.unit_displacement(1), example.unit_displacement(24), growth.optimal], axis=1)
     k = int(np.argmax(growth.log10_bounded))
     norms = np.linalg.norm(physical_flow(orbit, kicks, growth.t[k]), axis=0)
@@ -132,8 +117,8 @@ def test_kick_from_the_far_end(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_smallest_kick(run: Run) -> None:
-    kick = run("smallest_kick", starts=2)
+def test_smallest_kick(run_example: RunExample) -> None:
+    kick = run_example("smallest_kick", starts=2)
     orbit, n = kick.orbit, kick.orbit.model.sites
     assert kick.best.strict
     assert abs(kick.norm / 6.52883e-4 - 1) < 1e-5
@@ -151,9 +136,9 @@ def test_smallest_kick(run: Run) -> None:
     assert abs(kick.linear_norm * gain / (0.5 * np.sqrt(orbit.S)) - 1) < 1e-5
 
 
-def test_thousand_sites(run: Run) -> None:
+def test_thousand_sites(run_example: RunExample) -> None:
     example = load("thousand_sites")
-    extended, breather = run("thousand_sites")
+    extended, breather = run_example("thousand_sites")
     # Harmonic balance of the last 120 sites with 5 harmonics and Newton's method in numpy: the rest is at rest.
     assert abs(breather.Omega / 2.227581383482702 - 1) < 1e-11
     # The tail in closed form, from site to site, down to 1e-180.
@@ -181,9 +166,9 @@ def residual(orbit: Orbit) -> float:
 
 
 @pytest.mark.slow
-def test_duffing_check(run: Run) -> None:
+def test_duffing_check(run_example: RunExample) -> None:
     example = load("duffing_check")
-    errors = run("duffing_check")
+    errors = run_example("duffing_check")
     mpmath = pytest.importorskip("mpmath")
     with mpmath.workdps(30):  # the closed form that the example compares with, S = 2, g = -1, omega^2 = 3
         exact = mpmath.pi * mpmath.sqrt(1) / (2 * mpmath.ellipk(mpmath.mpf(-1)))
@@ -195,8 +180,8 @@ def test_duffing_check(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_export_c(run: Run) -> None:
-    numbers, in_c, in_python = run("export_c")
+def test_export_c(run_example: RunExample) -> None:
+    numbers, in_c, in_python = run_example("export_c")
     assert abs(numbers["period"] / (2 * np.pi / 1.018532435491958) - 1) < 1e-13  # independent codes
     assert abs(numbers["largest_multiplier"] - 1.171275734790) < 1e-12
     assert np.abs(in_c[:, 1] - in_python).max() < 1e-9
@@ -204,15 +189,15 @@ def test_export_c(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_chain_as_fmu(run: Run) -> None:
-    differences = run("chain_as_fmu")
+def test_chain_as_fmu(run_example: RunExample) -> None:
+    differences = run_example("chain_as_fmu")
     assert differences["CoSimulation"] < 1e-11
     assert differences["ModelExchange"] < 1e-5
 
 
 @pytest.mark.slow
-def test_foreign_fmu(run: Run) -> None:
-    branch = run("foreign_fmu")
+def test_foreign_fmu(run_example: RunExample) -> None:
+    branch = run_example("foreign_fmu")
     assert branch.at(1.0).period == pytest.approx(6.66328685932313, abs=1e-8)
 
     def field(_: float, x: np.ndarray) -> list[float]:
@@ -236,8 +221,8 @@ def test_the_picture_of_the_site_is_there_and_small(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_overview(run: Run) -> None:
-    softening, breather, branches, largest = run("overview", np.array([0.2, 0.3]))
+def test_overview(run_example: RunExample) -> None:
+    softening, breather, branches, largest = run_example("overview", np.array([0.2, 0.3]))
     assert len(softening.changes) == 47  # as many as in scans in steps of 1e-5 by another program
     corner = breather.profile.reshape(10, 8)[5:, 4:]  # the one that bonds push to
     assert np.sum(corner**2) > 0.95 * breather.S
@@ -250,8 +235,8 @@ def test_overview(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_sine_gordon_kink(run: Run) -> None:
-    kink, families = run("sine_gordon_kink")
+def test_sine_gordon_kink(run_example: RunExample) -> None:
+    kink, families = run_example("sine_gordon_kink")
     assert kink.stable
     y = np.concatenate([kink.positions[:1], kink.positions, kink.positions[-1:]])
     balance = 0.4 * (0.98 * (y[2:] - y[1:-1]) - 1.02 * (y[1:-1] - y[:-2])) - np.sin(kink.positions)
@@ -262,8 +247,8 @@ def test_sine_gordon_kink(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_isola(run: Run) -> None:
-    crossings, sweep, isola = run("isola")
+def test_isola(run_example: RunExample) -> None:
+    crossings, sweep, isola = run_example("isola")
     # By hand: on an orbit in which both oscillators move alike, x'' + 1.3 x + 0.05 x^3 = 0, what the drive gives at its
     # best phase, F integral of x' cos(omega t + phase), equals 2 c times the integral of (1 - 2 x^2 + 0.6 x^4) x'^2.
     for crossing in crossings:
@@ -286,9 +271,9 @@ def test_isola(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_localised_changes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_localised_changes(run_example: RunExample, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The script and the scene have the same four; the second is at the extremum of the energy."""
-    branch = run("localised_changes")
+    branch = run_example("localised_changes")
     found = branch.localised_diagram
     expected = [0.10182823265077, 2.3316117706867, 2.8691016136668, 2.8693340820587]
     assert found.complete

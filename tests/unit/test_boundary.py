@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from boundary_cases import LAYERS
+from marks import slow
 from programs import Program
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
@@ -46,7 +47,7 @@ def bratu_solution(theta: float, x: np.ndarray) -> np.ndarray:
 # Known answers --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
+@pytest.mark.parametrize("corrector", [slow("ipopt"), "newton"])
 def test_both_branches_of_bratu_and_the_fold_between_them(corrector: str) -> None:
     """Bratu (1914). With z = theta/4 lambda = 8 z^2 / cosh^2 z, stationary where z tanh z = 1: 3.513830719."""
     mpmath = pytest.importorskip("mpmath")
@@ -65,7 +66,7 @@ def test_both_branches_of_bratu_and_the_fold_between_them(corrector: str) -> Non
             assert np.abs(branch.at(lam, which).evaluate(x)[:, 0] - exact).max() / exact.max() < 1e-9
 
 
-@pytest.mark.parametrize("eps", [1e-2, *(pytest.param(eps, marks=pytest.mark.slow) for eps in (1e-4, 1e-6))])
+@pytest.mark.parametrize("eps", [1e-2, *(slow(eps) for eps in (1e-4, 1e-6))])
 @pytest.mark.parametrize("name", [name for name in LAYERS if not name.startswith("20")])
 def test_layers_are_met_at_the_tolerance_asked(name: str, eps: float) -> None:
     case = LAYERS[name]
@@ -78,14 +79,7 @@ def test_layers_are_met_at_the_tolerance_asked(name: str, eps: float) -> None:
 
 
 @pytest.mark.parametrize("degree", [2, 4, 6])
-@pytest.mark.parametrize(
-    "name",
-    [
-        "1, two layers",
-        pytest.param("6, shock at a turning point", marks=pytest.mark.slow),
-        pytest.param("20, nonlinear corner", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("name", ["1, two layers", slow("6, shock at a turning point"), slow("20, nonlinear corner")])
 def test_estimates_are_honest(name: str, degree: int) -> None:
     """True errors below the estimate, and not far below where nothing but the mesh limits them."""
     case, eps = LAYERS[name], 1e-2
@@ -133,9 +127,7 @@ def test_a_nonlinear_corner_is_followed_to_a_millionth() -> None:
     assert branch.solutions[-1].parameters["eps"] == pytest.approx(1e-6, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("order", "q"), [(1, 5.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0, 1.0), (2, 5.0)))]
-)
+@pytest.mark.parametrize(("order", "q"), [(1, 5.0), *(slow(*case) for case in ((0, 1.0), (2, 5.0)))])
 def test_eigenvalues_of_mathieu_with_an_integral_normalisation(order: int, q: float) -> None:
     """u'' + (a - 2 q cos 2x) u = 0, even; the mean square is fixed, a is free. Against scipy.special.mathieu_a."""
     a, p, x = ca.SX.sym("a"), ca.SX.sym("q"), ca.SX.sym("x")
@@ -296,7 +288,7 @@ def test_a_statement_is_restated_and_stays_as_it_is() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("opaque", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("opaque", [slow(False), True])
 def test_models_in_mx_symbols_and_programs_with_their_own_derivatives(opaque: bool) -> None:
     x, lam = ca.MX.sym("x", 2), ca.MX.sym("lam")
     rhs = ca.vertcat(x[1], -lam * ca.exp(x[0]))

@@ -14,6 +14,8 @@ from casadi_skin.points import edges as at_edges
 from casadi_skin.runs.program import main
 from casadi_skin.stability.tongues.diagram import StabilityEdge
 
+pytestmark = pytest.mark.slow
+
 CHAIN = Chain(sites=3, alpha=1.0, gamma=0.25, g=-1.0)
 
 
@@ -28,7 +30,6 @@ def flown(orbit: Orbit) -> np.ndarray:
     return np.asarray(solve_ivp(field, (0.0, orbit.period), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1])
 
 
-@pytest.mark.slow
 def test_orbits_of_less_symmetry_leave_at_the_edges_of_a_real_tongue() -> None:
     family = follow_family(CHAIN, 1, 2.6, stability=True)
     points = family.special_points
@@ -57,7 +58,6 @@ def test_orbits_of_less_symmetry_leave_at_the_edges_of_a_real_tongue() -> None:
         assert np.sort(np.abs(last.floquet().others)) == pytest.approx(known, rel=1e-4, abs=1e-4)
 
 
-@pytest.mark.slow
 def test_an_extremum_of_the_energy_is_no_branch_point() -> None:
     """On the first family of 24 sites real instability begins there, at mu = -1, and no other branch leaves."""
     chain = Chain(sites=24, alpha=1.0, gamma=0.25, g=-1.0)
@@ -66,7 +66,6 @@ def test_an_extremum_of_the_energy_is_no_branch_point() -> None:
     assert family.special_points == ()
 
 
-@pytest.mark.slow
 def test_a_family_that_crosses_one_of_a_third_of_its_period_has_one_branch_point_there() -> None:
     """Mode 1 of five sites turns into mode 5 run through three times: tongues touch there, one point that had been two.
 
@@ -87,7 +86,6 @@ def test_a_family_that_crosses_one_of_a_third_of_its_period_has_one_branch_point
         assert 3.0 * crossing.orbits[-1].Omega == pytest.approx(known.at(S=to).Omega, rel=1e-10)
 
 
-@pytest.mark.slow
 def test_every_change_of_the_highest_mode_of_a_ring_is_a_special_point() -> None:
     """FPUT-beta on 8 sites: equal multipliers cross at once, where Hill's equation of a wave has the trace 2."""
     ring = Lattice([8], [Site("a", onsite="0*y")], [Bond("a", "a", [1], "d + d^3")], "periodic")
@@ -116,7 +114,6 @@ def _where_a_wave_grows(k: int, *near: float) -> float:
     return float(brentq(excess, *near, xtol=1e-10))
 
 
-@pytest.mark.slow
 def test_an_edge_without_an_orbit_is_named_with_the_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

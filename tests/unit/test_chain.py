@@ -9,6 +9,7 @@ import casadi as ca
 import mpmath as mp
 import numpy as np
 import pytest
+from marks import slow
 from numpy.typing import NDArray
 from paper_data import sensitivity, sensitivity_limit
 from scipy.integrate import solve_ivp
@@ -273,10 +274,7 @@ def test_standing_waves_of_a_million_sites_agree_with_fifty_digits(mode: int) ->
         assert mode > 17 or n in range(4, 999_998) or off(wave[n - 1], exact) < 4 * EPS  # where skin modes live
 
 
-@pytest.mark.parametrize(
-    ("sites", "gamma"),
-    [(1000, 0.9), *(pytest.param(3000, gamma, marks=pytest.mark.slow) for gamma in (0.9, -0.9))],
-)
+@pytest.mark.parametrize(("sites", "gamma"), [(1000, 0.9), *(slow(3000, gamma) for gamma in (0.9, -0.9))])
 def test_a_long_strongly_nonreciprocal_chain_builds_without_overflow_or_nan(sites: int, gamma: float) -> None:
     """rho_1 would be 10^-638, or 10^-1918; warnings are errors in this suite."""
     chain = Chain(sites, 1.0, gamma, 1.0)

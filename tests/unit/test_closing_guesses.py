@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from marks import slow
 from scipy.optimize import root
 
 from casadi_skin.follow.find import find_orbit
@@ -103,7 +104,7 @@ def period_of_the_wave(units: int) -> float:
     return float(TWO_PI / found.x[M])
 
 
-@pytest.mark.parametrize("units", [8, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [8, slow(100)])
 def test_a_wave_is_found_from_cosines_of_another_period(units: int) -> None:
     """Of 100 oscillators from cosines that jump at the end of the period neither Newton's method nor Ipopt finds it."""
     model, guess = ring(units)
@@ -115,11 +116,7 @@ def test_a_wave_is_found_from_cosines_of_another_period(units: int) -> None:
 
 @pytest.mark.parametrize(
     ("units", "spread", "seed", "period"),
-    [
-        (10, 0.001, 0, 6.373235),
-        (10, 0.005, 1, 6.357597),
-        pytest.param(25, 0.005, 1, 6.319568, marks=pytest.mark.slow),
-    ],
+    [(10, 0.001, 0, 6.373235), (10, 0.005, 1, 6.357597), slow(25, 0.005, 1, 6.319568)],
 )
 def test_detuned_oscillators_are_found_in_step(units: int, spread: float, seed: int, period: float) -> None:
     """Periods by shooting from the state in which the motion from the guess is at time 2000."""

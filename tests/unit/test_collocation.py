@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from marks import slow
 from orbit_problems import gauss_problem
 
 from casadi_skin import Branch, Chain, Orbit
@@ -60,7 +61,7 @@ def test_placing_saves_intervals_where_the_orbit_rests_for_long(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("S", [2.99, pytest.param(2.9999, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("S", [2.99, slow(2.9999)])
 def test_a_mesh_survives_the_journal_and_the_walk_goes_on_as_if_not_broken_off(S: float) -> None:
     request = family_request(
         Chain(1, 1.0, 0.0, -1.0), 1, S, at=(2.0,), tolerance=1e-8, transcription="gauss", corrector="newton"
@@ -112,14 +113,7 @@ def test_points_of_one_programme_that_cannot_be_evaluated_leave_the_others_as_th
 
 @pytest.mark.parametrize(
     ("degree", "kind"),
-    [
-        (2, "gauss"),
-        (4, "radau"),
-        *(
-            pytest.param(d, k, marks=pytest.mark.slow)
-            for d, k in ((2, "radau"), (4, "gauss"), (11, "gauss"), (11, "radau"))
-        ),
-    ],
+    [(2, "gauss"), (4, "radau"), *(slow(d, k) for d, k in ((2, "radau"), (4, "gauss"), (11, "gauss"), (11, "radau")))],
 )
 def test_a_degree_may_be_asked_for(kind: str, degree: int) -> None:
     tools = Family(
@@ -151,7 +145,7 @@ def test_the_degree_left_out_goes_with_the_tolerance(tolerance: float, degree: i
         assert request.degree == degree
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, pytest.param(1e-9, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [1e-4, slow(1e-9)])
 def test_radau_is_within_its_estimate_of_odd_cosines(tolerance: float) -> None:
     chain, at = Chain(4, 1.0, 0.4, -1.0), (0.3, 1.0, 1.5)
     branch = followed(

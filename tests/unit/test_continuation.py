@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
@@ -60,7 +61,7 @@ def exact_frequency(chain: Chain, S: float) -> float:
 # One site: the Duffing oscillator -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-11, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [1e-6, slow(1e-11)])
 @pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), (-1.0, 2.5)])
 def test_one_site_at_requested_amplitudes_is_within_the_estimated_error_of_the_exact_frequency(
     g: float, amplitude_max: float, tolerance: float
@@ -80,8 +81,8 @@ def test_one_site_at_requested_amplitudes_is_within_the_estimated_error_of_the_e
 # Reference values ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("walker", ["series", pytest.param("arclength", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("corrector", ["newton", slow("ipopt")])
+@pytest.mark.parametrize("walker", ["series", slow("arclength")])
 @pytest.mark.parametrize(
     ("mode", "g", "expected"), [(1, -1.0, SOFTENING_END), (24, 1.0, HARDENING_END)], ids=["softening", "hardening"]
 )
@@ -138,7 +139,7 @@ def test_the_guard_alone_keeps_a_walk_of_far_too_long_steps_on_its_family() -> N
 # Points asked for ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("corrector", ["newton", slow("ipopt")])
 @pytest.mark.parametrize("g", [-1.0, 0.7, 3.0])
 def test_points_lie_exactly_at_the_amplitudes_asked_for(g: float, corrector: str) -> None:
     """Equal as floating-point numbers, though the walk's parameter is g S."""
@@ -214,7 +215,7 @@ def test_the_largest_displacement_is_positive_also_where_it_moves_to_another_sit
 
 
 @pytest.mark.usefixtures("harmonics")
-@pytest.mark.parametrize("tolerance", [1e-6, pytest.param(1e-9, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [1e-6, slow(1e-9)])
 def test_a_family_that_cannot_reach_the_amplitude_says_so(tolerance: float) -> None:
     """One softening site: its well is as deep as S = omega^2/|g| = 3, where the period is infinite."""
     branch = followed(Chain(1, 1.0, 0.0, -1.0), 1, 5.0, tolerance, (1.0, 2.5, 4.0))
@@ -309,12 +310,9 @@ COMBINATIONS = [
 
 @pytest.mark.parametrize(
     ("chain", "mode", "amplitude_max"),
-    [
-        *COMBINATIONS[2:5],
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in (*COMBINATIONS[:2], COMBINATIONS[5])),
-    ],
+    [*COMBINATIONS[2:5], *(slow(*case) for case in (*COMBINATIONS[:2], COMBINATIONS[5]))],
 )
-@pytest.mark.parametrize("tolerance", [1e-6, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-3, 1e-9))])
+@pytest.mark.parametrize("tolerance", [1e-6, *(slow(t) for t in (1e-3, 1e-9))])
 def test_the_estimated_error_covers_the_true_one(
     chain: Chain, mode: int, amplitude_max: float, tolerance: float
 ) -> None:
@@ -340,7 +338,7 @@ def test_the_estimated_error_covers_the_true_one(
         assert np.abs(difference).max() <= tolerance * largest
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, pytest.param(1e-8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [1e-4, slow(1e-8)])
 @pytest.mark.parametrize("kind", [SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL])
 def test_the_estimated_error_of_gauss_collocation_covers_the_true_one(kind: SymmetryClass, tolerance: float) -> None:
     chain, at = Chain(4, 1.0, 0.4, -1.0), (0.3, 1.0, 1.5)
@@ -354,7 +352,7 @@ def test_the_estimated_error_of_gauss_collocation_covers_the_true_one(kind: Symm
         assert orbit.Omega_error <= tolerance * orbit.Omega
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-6, 1e-8))])
+@pytest.mark.parametrize("tolerance", [1e-4, *(slow(t) for t in (1e-6, 1e-8))])
 def test_the_estimated_error_covers_the_true_one_at_points_walked(tolerance: float) -> None:
     """A point of the table is (S, Omega): the error of Omega is meant at that S."""
     chain = Chain(24, 1.0, 0.25, -1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from marks import slow
 
 from casadi_skin import Chain, follow_family
 from casadi_skin.follow.branch import Branch
@@ -20,8 +21,7 @@ def _folds(branch: Branch) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("sites", "transcription"),
-    [(2, "trigonometric"), (7, "trigonometric"), (3, "gauss"), pytest.param(3, "shooting", marks=pytest.mark.slow)],
+    ("sites", "transcription"), [(2, "trigonometric"), (7, "trigonometric"), (3, "gauss"), slow(3, "shooting")]
 )
 def test_orientation_is_the_sign_of_the_determinant(sites: int, transcription: str) -> None:
     branch = follow_family(Chain(sites, 0.4, 0.1, -1.0), 1, 0.5, tolerance=1e-5, transcription=transcription)
@@ -39,9 +39,7 @@ def test_orientation_is_the_sign_of_the_determinant(sites: int, transcription: s
     assert signs == {-1.0, 1.0}
 
 
-@pytest.mark.parametrize(
-    ("tolerance", "walker"), [*SETTINGS[:3:2], *(pytest.param(*s, marks=pytest.mark.slow) for s in SETTINGS[1::2])]
-)
+@pytest.mark.parametrize(("tolerance", "walker"), [*SETTINGS[:3:2], *(slow(*s) for s in SETTINGS[1::2])])
 def test_excursion_whose_two_sides_predict_one_another_is_followed(tolerance: float, walker: str) -> None:
     """Both sides are 1e-3 of a step apart; the family returns as it was, half a period later."""
     branch = follow_family(CHAIN, 1, 0.2, tolerance=tolerance, walker=walker)

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from c_programs import COMPILERS, SANITIZED, STRICT, Library, compiled, printed, sanitizers
+from marks import slow
 from scipy.integrate import solve_ivp
 
 from casadi_skin import Chain, OdeModel, Orbit, export_c, find_orbit, follow_family
@@ -274,10 +275,10 @@ def test_programs_without_an_orbit_print_the_numbers_of_their_readme(tmp_path: P
     ("sites", "gamma", "g", "flags"),
     [
         (4, 0.25, 1.0, ["-O0"]),
-        pytest.param(2, -0.5, -1.0, SANITIZED, marks=pytest.mark.slow),
-        pytest.param(4, 0.25, 1.0, SANITIZED, marks=pytest.mark.slow),
-        pytest.param(1, 0.0, 1.0, ["-O2"], marks=pytest.mark.slow),
-        pytest.param(24, 0.25, 1.0, ["-O2"], marks=pytest.mark.slow),
+        slow(2, -0.5, -1.0, SANITIZED),
+        slow(4, 0.25, 1.0, SANITIZED),
+        slow(1, 0.0, 1.0, ["-O2"]),
+        slow(24, 0.25, 1.0, ["-O2"]),
     ],
 )
 def test_chains_from_their_linear_modes(sites: int, gamma: float, g: float, flags: list[str], tmp_path: Path) -> None:
@@ -294,12 +295,7 @@ def test_chains_from_their_linear_modes(sites: int, gamma: float, g: float, flag
 
 
 @pytest.mark.parametrize(
-    ("transcription", "flags"),
-    [
-        ("gauss", ["-O0"]),
-        pytest.param("gauss", SANITIZED, marks=pytest.mark.slow),
-        pytest.param("shooting", SANITIZED, marks=pytest.mark.slow),
-    ],
+    ("transcription", "flags"), [("gauss", ["-O0"]), slow("gauss", SANITIZED), slow("shooting", SANITIZED)]
 )
 def test_orbits_of_other_transcriptions_have_their_flow_but_no_equations(
     transcription: str, flags: list[str], tmp_path: Path

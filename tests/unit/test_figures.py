@@ -9,6 +9,7 @@ import matplotlib
 import numpy as np
 import pytest
 from drawing import legend_labels, lines, overlaps, points, stretches
+from marks import slow
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -102,7 +103,7 @@ def test_theory_requests_band_and_labels_are_drawn(soft: Branch, plain: Branch) 
     assert "dimensionless" in axes.get_title()
 
 
-@pytest.mark.parametrize("sites", [6, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sites", [6, slow(12)])
 def test_labels_of_many_families_stay_apart_and_inside(sites: int) -> None:
     chain = Chain(sites, 1.0, 0.6, 1.0)
     branches = [follow_family(chain, j, 0.1, tolerance=1e-3, corrector="newton") for j in range(1, sites + 1)]
@@ -163,7 +164,7 @@ def test_profiles_that_are_not_steep_have_no_logarithmic_panel() -> None:
     assert [axes.get_yscale() for axes in figure.axes] == ["linear"]
 
 
-@pytest.mark.parametrize("sites", [400, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sites", [400, slow(1000)])
 def test_long_chains_are_lines_without_markers(sites: int) -> None:
     branch = follow_family(Chain(sites, 1.0, 0.25, 1.0), sites, 1e-3, at=[1e-3], tolerance=1e-2, tail="full")
     figure = profile_figure([branch])
@@ -220,7 +221,7 @@ def test_there_is_nothing_to_draw_without_stability_or_requests(plain: Branch, s
 # Special chains -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("sites", "gamma", "mode"), [(1, 0.3, 1), pytest.param(4, -1.0, 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("sites", "gamma", "mode"), [(1, 0.3, 1), slow(4, -1.0, 4)])
 def test_chains_without_a_band(sites: int, gamma: float, mode: int) -> None:
     branch = follow_family(Chain(sites, 1.0, gamma, 1.0), mode, 1.0, at=[1.0], stability=True, tolerance=1e-4)
     figure = frequency_figure([branch])
@@ -254,9 +255,7 @@ SLOWER = ("several", "multipliers", "steep")
 
 
 @pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
-@pytest.mark.parametrize(
-    "draw", ["frequency", "shift", "profile", *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)]
-)
+@pytest.mark.parametrize("draw", ["frequency", "shift", "profile", *(slow(name) for name in SLOWER)])
 def test_no_text_covers_another(draw: str, soft: Branch, plain: Branch) -> None:
     def drawn() -> Figure | None:
         if draw == "shift":  # a power of ten above the axis, and long labels
@@ -289,9 +288,7 @@ def without_numbers() -> Figure:
 
 
 @pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
-@pytest.mark.parametrize(
-    "draw", [without_numbers, pytest.param(lambda: spectrum_figure(Chain(1, 1.0, 0.0, 1.0)), marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("draw", [without_numbers, slow(lambda: spectrum_figure(Chain(1, 1.0, 0.0, 1.0)))])
 def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Callable[[], Figure]) -> None:
     before = dict(matplotlib.rcParams)
     figure = draw()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 from numpy.typing import NDArray
 from scipy.io import netcdf_file
 
@@ -40,13 +41,13 @@ def tail(orbit: Orbit) -> Array:
     ("sites", "gamma", "g", "options", "smallest"),
     [
         (200, 0.99, 1.0, {}, -372.4237),
-        pytest.param(200, 1.0 - 1e-9, 1.0, {}, -1765.4168, marks=pytest.mark.slow),
-        pytest.param(200, -0.99, -1.0, {}, -374.3432, marks=pytest.mark.slow),
-        pytest.param(200, -0.99, 1.0, {"walker": "arclength"}, -372.4237, marks=pytest.mark.slow),
-        pytest.param(1000, 0.25, 1.0, {}, -181.6282, marks=pytest.mark.slow),
-        pytest.param(1000, 0.25, 1.0, {"walker": "arclength"}, -181.6282, marks=pytest.mark.slow),
-        pytest.param(1000, 0.99, 1.0, {}, -1869.5259, marks=pytest.mark.slow),
-        pytest.param(3000, 0.7, 1.0, {}, -1219.3243, marks=pytest.mark.slow),
+        slow(200, 1.0 - 1e-9, 1.0, {}, -1765.4168),
+        slow(200, -0.99, -1.0, {}, -374.3432),
+        slow(200, -0.99, 1.0, {"walker": "arclength"}, -372.4237),
+        slow(1000, 0.25, 1.0, {}, -181.6282),
+        slow(1000, 0.25, 1.0, {"walker": "arclength"}, -181.6282),
+        slow(1000, 0.99, 1.0, {}, -1869.5259),
+        slow(3000, 0.7, 1.0, {}, -1219.3243),
     ],
 )
 def test_tails_are_right_down_to_the_far_end(
@@ -80,10 +81,7 @@ def test_closed_form_of_the_tail_in_and_beside_the_band() -> None:
     np.testing.assert_allclose(signs * np.exp(logs), waves.sum(axis=0)[1:-1], rtol=1e-10, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("sites", "gamma"),
-    [(24, 0.99), pytest.param(200, 0.7, marks=pytest.mark.slow), pytest.param(200, -0.25, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize(("sites", "gamma"), [(24, 0.99), slow(200, 0.7), slow(200, -0.25)])
 def test_shift_at_the_smallest_amplitude(sites: int, gamma: float) -> None:
     for mode in (1, sites):
         chain = Chain(sites, 1.0, gamma, 1.0)
@@ -124,7 +122,7 @@ def test_tables_refuse_what_is_not_finite(tmp_path: Path) -> None:
     assert not (tmp_path / "family.csv").exists()
 
 
-@pytest.mark.parametrize("corrector", ["newton", pytest.param("ipopt", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("corrector", ["newton", slow("ipopt")])
 def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
     for sites, gamma, mode in ((24, 0.25, 1), (6, 0.7, 3)):
         found = [
@@ -134,7 +132,7 @@ def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
         np.testing.assert_allclose(found, found[0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("alpha", [1e6, *(pytest.param(soft, marks=pytest.mark.slow) for soft in (0.0, 1e-8))])
+@pytest.mark.parametrize("alpha", [1e6, *(slow(soft) for soft in (0.0, 1e-8))])
 def test_soft_and_stiff_sites(alpha: float) -> None:
     for mode in (1, 24):
         branch = follow_family(Chain(24, alpha, 0.25, 1.0), mode, 0.5, at=(1e-14,), corrector="newton")

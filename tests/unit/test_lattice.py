@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from lattices import GAINS, chain, dimer, fput, plane
+from marks import slow
 
 from casadi_skin import Bond, Chain, Lattice, OdeModel, Site, Uniform, follow_family, optimise
 from casadi_skin.lattice.chain import declared_chain
@@ -36,12 +37,7 @@ def by_hand(name: str) -> OdeModel:
 
 
 @pytest.mark.parametrize(
-    ("sites", "gamma", "mode", "g"),
-    [
-        pytest.param(7, 0.3, 4, 1.0, marks=pytest.mark.slow),
-        pytest.param(24, -0.25, 24, 1.0, marks=pytest.mark.slow),
-        pytest.param(48, 0.6, 1, -1.0, marks=pytest.mark.slow),
-    ],
+    ("sites", "gamma", "mode", "g"), [slow(7, 0.3, 4, 1.0), slow(24, -0.25, 24, 1.0), slow(48, 0.6, 1, -1.0)]
 )
 def test_the_chain_as_a_lattice_has_the_numbers_of_the_chain(sites: int, gamma: float, mode: int, g: float) -> None:
     """To the last digit: it is solved in the chain's coordinates."""
@@ -108,9 +104,7 @@ def test_models_by_hand_have_the_numbers_of_lattices(name: str, mode: str, S: fl
     assert max(abs(b.floquet().multipliers)) == pytest.approx(max(abs(a.floquet().multipliers)), abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("sites", "energy"), [(8, 0.5320603626), pytest.param(32, 0.1043149731, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("sites", "energy"), [(8, 0.5320603626), slow(32, 0.1043149731)])
 def test_the_pi_mode_of_fput_loses_stability_at_the_published_energy(sites: int, energy: float) -> None:
     S = 0.3 if sites == 8 else 0.06
     branch = follow_family(fput(sites, "periodic"), mode="last", amplitude_max=S, tolerance=1e-9, stability=True)

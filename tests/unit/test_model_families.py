@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from marks import slow
 from numpy.typing import NDArray
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import linear_sum_assignment
@@ -24,11 +25,6 @@ from casadi_skin.zero.family import family_request
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-
-def slow(*values: Any) -> Any:
-    """Parameters of a test that takes long."""
-    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def second_order(name: str, q: ca.SX, force: ca.SX, *parameters: ca.SX, odd: bool = True, **more: Any) -> OdeModel:

@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from marks import slow
 from programs import Program
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
@@ -97,12 +98,7 @@ def lyapunov_by_shooting(x0: float) -> tuple[Any, float, float]:
 
 @pytest.mark.parametrize(
     ("transcription", "corrector"),
-    [
-        ("gauss", "newton"),
-        ("radau", "ipopt"),
-        pytest.param("gauss", "ipopt", marks=pytest.mark.slow),
-        pytest.param("radau", "newton", marks=pytest.mark.slow),
-    ],
+    [("gauss", "newton"), ("radau", "ipopt"), slow("gauss", "ipopt"), slow("radau", "newton")],
 )
 def test_van_der_pol_at_1(transcription: str, corrector: str) -> None:
     """Period and amplitude to 28 digits: Hairer, Norsett and Wanner (1993), section I.16, exercise 1."""

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from marks import slow
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.follow.family import Family
@@ -29,7 +30,7 @@ def exact_frequency(chain: Chain, S: float) -> float:
 HARDEST_AMID = (Chain(2, 0.808, 0.65, -1.0), 1, 3.3)
 
 
-@pytest.mark.parametrize("method", ["trigonometric", pytest.param("gauss", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["trigonometric", slow("gauss")])
 def test_the_resolution_comes_down_where_less_will_do_and_does_not_waver(method: str) -> None:
     chain, mode, amplitude_max = HARDEST_AMID
     branch = followed(chain, mode, amplitude_max, 1e-8, method=method)
@@ -75,11 +76,8 @@ def test_a_walk_that_comes_down_is_broken_off_and_goes_on_as_if_it_had_not_been(
 # Round-off ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("g", "amplitude_max"),
-    [(1.0, 50.0), pytest.param(-1.0, 2.9, marks=pytest.mark.slow), pytest.param(0.5, 3.0, marks=pytest.mark.slow)],
-)
-@pytest.mark.parametrize("method", ["trigonometric", "gauss", pytest.param("radau", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("g", "amplitude_max"), [(1.0, 50.0), slow(-1.0, 2.9), slow(0.5, 3.0)])
+@pytest.mark.parametrize("method", ["trigonometric", "gauss", slow("radau")])
 def test_at_the_tightest_tolerance_the_estimates_cover_the_true_errors_or_tell_of_round_off(
     g: float, amplitude_max: float, method: str
 ) -> None:
@@ -92,7 +90,7 @@ def test_at_the_tightest_tolerance_the_estimates_cover_the_true_errors_or_tell_o
         assert orbit.at_round_off == (orbit.point.error.relative(orbit.Omega) > 1e-13)
 
 
-@pytest.mark.parametrize("sites", [2, 10, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sites", [2, 10, slow(40)])
 def test_rounding_of_the_derivative_matrix_does_not_show_in_the_frequency(sites: int) -> None:
     """The same orbit on many resolutions: they differ by round-off only, and by less than the estimates say."""
     chain = Chain(sites, 0.9, 0.25, -1.0)

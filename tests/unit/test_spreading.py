@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from lattices import GAINS, chain, dimer, plane
+from marks import slow
 
 from casadi_skin import Bond, Chain, EvolutionError, Lattice, OdeModel, Site, evolve
 from casadi_skin.dynamics.starts import energies_by_site, initial_state, spreading
@@ -112,10 +113,7 @@ def test_starts_of_damped_lattices_and_of_any_model() -> None:
         initial_state(decay, 2.0, site=1, moving=True)
 
 
-@pytest.mark.parametrize(
-    "method",
-    [pytest.param("cvodes", marks=pytest.mark.slow), "dop853", pytest.param("symplectic", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("method", [slow("cvodes"), "dop853", slow("symplectic")])
 def test_a_site_that_escapes_is_named(method: str) -> None:
     lattice = plane((3, 2))
     with pytest.raises(EvolutionError, match=r"followed to t = .* of 20: .*; y_2_1 runs to infinity$"):

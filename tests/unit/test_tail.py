@@ -9,6 +9,7 @@ from functools import cache
 import mpmath
 import numpy as np
 import pytest
+from marks import slow
 from scipy.optimize import fsolve
 
 from casadi_skin import Branch, Chain, follow_family
@@ -114,11 +115,7 @@ def test_an_endless_tail_has_no_power_series_across_the_edge_of_its_band() -> No
 
 @pytest.mark.usefixtures("way")
 @pytest.mark.parametrize(
-    ("sites", "mode"),
-    [
-        (120, 1),
-        *(pytest.param(*more, marks=pytest.mark.slow) for more in ((math.inf, 1), (300, 300), (math.inf, "last"))),
-    ],
+    ("sites", "mode"), [(120, 1), *(slow(*more) for more in ((math.inf, 1), (300, 300), (math.inf, "last")))]
 )
 def test_power_series_of_a_branch_solve_the_equations(sites: float, mode: int | str) -> None:
     """Residuals fall as the 25th power of the distance, from points in and beside the band."""
@@ -189,8 +186,8 @@ def family(
     ("sites", "gamma", "g"),
     [
         (70, -0.7, 1.0),
-        *(pytest.param(70, *signs, marks=pytest.mark.slow) for signs in ((0.7, -1.0), (0.7, 1.0), (-0.7, -1.0))),
-        *(pytest.param(140, 0.4, g, marks=pytest.mark.slow) for g in (1.0, -1.0)),
+        *(slow(70, *signs) for signs in ((0.7, -1.0), (0.7, 1.0), (-0.7, -1.0))),
+        *(slow(140, 0.4, g) for g in (1.0, -1.0)),
     ],
 )
 def test_an_eliminated_tail_changes_nothing(sites: int, gamma: float, g: float) -> None:
@@ -226,9 +223,7 @@ def test_the_third_harmonic_takes_over_as_in_the_whole_chain() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("g", "known"), [(1.0, 2.3200364277694), pytest.param(-1.0, 0.7659589000207, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("g", "known"), [(1.0, 2.3200364277694), slow(-1.0, 0.7659589000207)])
 def test_a_million_sites_and_infinitely_many(g: float, known: float) -> None:
     million, infinite = (family(N, 0.25, g, None, 3.0, 1e-11) for N in (10**6, math.inf))
     assert million.complete
@@ -241,7 +236,7 @@ def test_a_million_sites_and_infinitely_many(g: float, known: float) -> None:
     assert infinite.at(3.0).energy == pytest.approx(million.at(3.0).energy, rel=1e-10)
 
 
-@pytest.mark.parametrize("S", [0.5, pytest.param(3.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("S", [0.5, slow(3.0)])
 def test_sites_of_an_infinite_chain_are_counted_from_its_edge(S: float) -> None:
     right, left = (family(math.inf, gamma, 1.0, None, S).at(S) for gamma in (0.25, -0.25))
     near = right.evaluate(0.0, sites=[0, -1, -2, -300])

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from equilibrium_models import symbols
+from marks import slow
 
 from casadi_skin import OdeModel, find_equilibrium, find_orbit
 from casadi_skin.follow.branch import Branch, End
@@ -71,7 +72,7 @@ def assert_same(one: Branch, other: Branch, D: np.ndarray, range_: float = 1.0) 
         np.testing.assert_allclose(b.solution.state / D, a.solution.state, atol=1e-8)
 
 
-SEEDS = [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 44))]
+SEEDS = [*range(4), *(slow(seed) for seed in range(4, 44))]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -170,12 +171,7 @@ def test_a_cycle_that_passes_an_equilibrium_is_none_of_a_family(tolerance: float
 
 
 @pytest.mark.parametrize(
-    ("units", "time"),
-    [
-        ([1e8, 1.0, 1e-8], 1.0),
-        pytest.param([1e-8, 1e8, 1.0], 1e-8, marks=pytest.mark.slow),
-        pytest.param([1e-8, 1e8, 1e-8], 1e8, marks=pytest.mark.slow),
-    ],
+    ("units", "time"), [([1e8, 1.0, 1e-8], 1.0), slow([1e-8, 1e8, 1.0], 1e-8), slow([1e-8, 1e8, 1e-8], 1e8)]
 )
 def test_lorenz_has_its_hopf_point_and_the_cycles_there_in_any_units(units: list[float], time: float) -> None:
     """Hopf at r = 470/19 (Lorenz 1963); the period of the cycles that leave is that in units of 1."""
