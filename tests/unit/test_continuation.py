@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from marks import slow
-from numpy.typing import NDArray
 
 from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
@@ -23,7 +22,6 @@ from casadi_skin.solve.newton import Correction, HeldState, Status
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End, Point
 
-Array = NDArray[np.float64]
 ROUND_OFF = 5e-15  # of Omega: some units in the last place, which no estimate resolves
 
 # N = 24, alpha = 1, gamma = 0.25 and S -> Omega, computed independently.
@@ -212,25 +210,6 @@ def test_the_largest_displacement_is_positive_also_where_it_moves_to_another_sit
 
 
 # Ends ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("harmonics")
-@pytest.mark.parametrize("tolerance", [1e-6, slow(1e-9)])
-def test_a_family_that_cannot_reach_the_amplitude_says_so(tolerance: float) -> None:
-    """One softening site: its well is as deep as S = omega^2/|g| = 3, where the period is infinite."""
-    branch = followed(Chain(1, 1.0, 0.0, -1.0), 1, 5.0, tolerance, (1.0, 2.5, 4.0))
-    assert not branch.complete
-    assert branch.end in (End.RESOLUTION, End.NO_STEP)
-    assert branch.end.value in branch.reason
-    assert "does not exist at S = 5" in branch.reason
-    assert f"Omega = {branch.Omega[-1]:.6g}" in branch.reason
-    assert 2.99 < branch.S.max() < 3.0
-    assert branch.Omega[-1] < 0.3 * np.sqrt(3.0)
-    with pytest.raises(ValueError, match="passes S 0 times"):
-        branch.at(4.0)
-    assert [o.S for o in branch.orbits if o.point.requested] == [1.0, 2.5]
-    exact = exact_frequency(Chain(1, 1.0, 0.0, -1.0), 2.5)
-    assert branch.at(2.5).Omega == pytest.approx(exact, rel=max(tolerance, 1e-6))
 
 
 @pytest.mark.parametrize("walker", ["series", "arclength"])

@@ -71,21 +71,6 @@ def test_quantities_of_an_orbit_are_those_of_its_family(gamma: float, g: float) 
     assert abs(values["energy_slope"] - (right.energy - left.energy) / (2 * h)) < 1e-3
 
 
-@pytest.mark.parametrize("model", [SHORT, SHORT.tunable_model()])
-def test_derivatives_are_those_of_located_orbits(model: Any) -> None:
-    """Of displacements, frequency and slopes by S and every parameter, against orbits located beside."""
-    over = ("S", "gamma", "alpha", "g")
-    thing, h = located(member(model), over), 1e-4
-    values = {"S": 1.0, "gamma": 0.3, "alpha": 1.0, "g": 1.0}
-    for column, name in enumerate(over):
-        ahead, behind = (thing.near({**values, name: values[name] + way}) for way in (h, -h))
-        moved = (ahead.numbers - behind.numbers) / (2 * h)
-        scale = np.max(np.abs(moved))
-        np.testing.assert_allclose(thing.derivatives[:, column], moved, rtol=0, atol=1e-6 * scale, err_msg=name)
-        slope = thing.expressions.equations.q.numel() * 2 + 1  # the slope of Omega
-        assert abs(thing.derivatives[slope, column] - moved[slope]) < 1e-6 * max(1.0, abs(moved[slope]))
-
-
 def test_an_orbit_too_far_off_is_not_taken_for_that_of_another_family() -> None:
     thing = located(member(S=1.0), ("S",))
     assert thing.near({"S": 1.5}) is not None

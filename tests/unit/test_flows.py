@@ -252,7 +252,7 @@ def test_an_interruption_of_the_last_batch_is_not_the_end(monkeypatch: pytest.Mo
     with pytest.raises(KeyboardInterrupt):
         list(walk)
     branch = walk.branch()
-    assert branch.end is None
+    assert (branch.end, branch.reason) == (None, "interrupted")
     assert len(branch) == count - calls[-1]
 
 

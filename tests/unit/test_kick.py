@@ -115,23 +115,6 @@ def test_small_distances_are_reached_as_linear_growth_predicts() -> None:
 
 
 @pytest.mark.slow
-def test_transient_growth_gives_the_same_linear_gain() -> None:
-    growth = breather().transient_growth(quarters=12)
-    # Omega is within 4 % of 1, and what moves along the orbit is a small part: so must the two gains be near
-    gain = 0.5 * np.sqrt(0.2) / found(3.0).linear_norm
-    assert gain == pytest.approx(10 ** growth.log10_gain.max(), rel=0.15)
-
-
-@pytest.mark.slow
-def test_mirrored_chain_has_the_mirrored_kick() -> None:
-    mirrored = breather(6, -0.25)
-    kick = smallest_kick(mirrored, 3.0 * mirrored.period, starts=2)
-    assert kick.norm == pytest.approx(found().norm, rel=1e-7)
-    np.testing.assert_allclose(np.abs(kick.displacements[::-1]), np.abs(found().displacements), atol=1e-6)
-    assert kick.far_end_norm == pytest.approx(found().far_end_norm, rel=1e-6)
-
-
-@pytest.mark.slow
 def test_the_far_end_alone_needs_more() -> None:
     time, all_sites = 2.0 * breather().period, found(2.0)
     one = smallest_kick(breather(), time, sites=1, starts=2)
@@ -248,24 +231,6 @@ def test_a_start_whose_worker_is_killed_is_run_again(times: int, monkeypatch: py
     assert (len(killed), kick.tried, kick.interrupted) == (times, 5 - times, False)
     assert kick.norm == pytest.approx(found().norm)
     assert bool(re.search(r"; start [1-4]: its worker ended by signal 9, twice$", kick.status)) is (times == 2)
-
-
-@pytest.mark.usefixtures("interruptible")
-@pytest.mark.slow
-def test_interruption_ends_processes_with_the_best_of_them() -> None:
-    told: list[SearchProgress] = []
-
-    def interrupt(progress: SearchProgress) -> None:
-        if progress.done == 1 and not told:  # a second one would end the wait for starts that have begun
-            told.append(progress)
-            os.kill(os.getpid(), signal.SIGINT)
-
-    kick = smallest_kick(breather(), 3.0 * breather().period, starts=40, workers=2, progress=interrupt)
-    assert kick.interrupted
-    assert kick.status.startswith("interrupted")
-    assert 1 <= kick.tried < 40
-    assert kick.norm == pytest.approx(found().norm, rel=0.1)
-    assert not multiprocessing.active_children()
 
 
 def test_what_the_progress_callback_raises_arrives() -> None:

@@ -483,26 +483,6 @@ def soft() -> Branch:
     return follow_family(pendulums(3), 1, 6.0, at=(1.0,), tolerance=1e-9)
 
 
-def test_at_holds_what_it_is_asked_for(soft: Branch) -> None:
-    by_S = soft.at(S=2.5)
-    by_Omega, by_period = soft.at(Omega=by_S.Omega), soft.at(period=by_S.period)
-    assert by_S.S == 2.5
-    assert by_Omega.Omega == pytest.approx(by_S.Omega, rel=1e-15)
-    assert by_period.period == by_S.period
-    for other in (by_Omega, by_period):
-        assert abs(other.S - 2.5) <= other.S_error + by_S.S_error + 1e-12
-        np.testing.assert_allclose(other.profile, by_S.profile, atol=1e-7)
-    assert soft.at(1.0) is next(orbit for orbit in soft.orbits if orbit.S == 1.0)
-    beside = soft.orbits[20].S
-    for S in (np.nextafter(beside, 9), beside * (1 + 1e-13), beside * (1 + 1e-9), 0.5 * soft.orbits[0].S):
-        assert soft.at(S).S == S
-        assert np.sum(soft.at(S).profile ** 2) == pytest.approx(S, rel=1e-12)
-    with pytest.raises(ValueError, match=r"at: given S = 7\.0, which = 0; .* to 6 and passes S 0 times"):
-        soft.at(7.0)
-    with pytest.raises(ValueError, match="at: given bond; accepted: S, Omega, period"):
-        soft.at(bond=1.0)
-
-
 def test_a_family_ends_where_it_is_told_to(soft: Branch) -> None:
     seen: list[float] = []
     stopped = follow_family(

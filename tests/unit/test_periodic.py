@@ -130,29 +130,6 @@ def test_an_orbit_that_repels_strongly_has_the_reciprocal_multiplier() -> None:
     assert abs(np.log(other.real) - growth) < 1e-6
 
 
-@pytest.mark.slow
-def test_van_der_pol_at_10() -> None:
-    """Period 19.0783695669..., and the multiplier, by DOP853: return map and integral of the divergence."""
-    first = find_orbit(van_der_pol(), circle, 6.6, parameters={"mu": 1.0}, tolerance=1e-9)
-    branch = first.follow("mu", 10.0, max_step=0.5)
-    orbit = branch.solutions[-1]
-
-    def field(_: float, s: Array) -> list[float]:
-        return [s[1], 10 * (1 - s[0] ** 2) * s[1] - s[0], 1 - s[0] ** 2]
-
-    def crossing(_: float, s: Array) -> float:
-        return float(s[1])
-
-    crossing.direction = -1.0  # type: ignore[attr-defined]
-    run = solve_ivp(field, (0.0, 60.0), [2.0, 0.0, 0.0], "DOP853", events=crossing, rtol=1e-12, atol=1e-13)
-    times, states = run.t_events[0], run.y_events[0]
-    assert abs(orbit.period - (times[-1] - times[-2])) < 1e-9
-    assert abs(orbit.period - 19.078369567) < 1e-8
-    log_multiplier = 10.0 * (states[-1, 2] - states[-2, 2])
-    assert abs(np.log(abs(orbit.floquet().others[0])) / log_multiplier - 1) < 1e-6
-    assert log_multiplier < -300
-
-
 def test_the_brusselator() -> None:
     """A = 1, B = 3: closure and multiplier by DOP853 with the variational equations, which share nothing with us."""
     orbit = find_orbit(brusselator(), lambda t: [1 + np.cos(t), 3 - np.sin(t)], 7.2, tolerance=1e-10)
@@ -201,34 +178,6 @@ def test_multipliers_that_are_sought_where_the_mesh_is_coarse_warn() -> None:
 
 
 # Forced ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_forced_duffing_through_both_folds() -> None:
-    """Folds are where a multiplier is 1; between them three orbits, each closed by DOP853 and the middle unstable."""
-    first = find_orbit(
-        duffing(half_period=(-1, -1)), [0.0, 0.0],
-        parameters={"omega": 0.8, "a": 0.5, "delta": 0.1}, tolerance=1e-9,
-    )  # fmt: skip
-    branch = first.follow("omega", 3.0, at=[2.0])
-    assert branch.complete
-    folds = [fold["omega"] for fold in branch.folds]
-    assert folds[0] > 2.0 > folds[-1]
-    for fold in branch.folds:
-        nearest = np.min(np.abs(fold.floquet().multipliers - 1.0))
-        assert nearest < 1e-3
-        # det M = exp(-delta T) in any case (Liouville)
-        assert abs(np.prod(fold.floquet().multipliers) / np.exp(-0.1 * fold.period) - 1) < 1e-7
-    orbits = [branch.at(2.0, which) for which in range(3)]
-    assert [o.floquet().stable for o in orbits if isinstance(o, Orbit)] == [True, False, True]
-    for orbit in orbits:
-        field = lambda t, s: [s[1], -s[0] - s[0] ** 3 - 0.1 * s[1] + 0.5 * np.cos(2.0 * t)]  # noqa: E731
-        start = orbit.evaluate(0.0)
-        np.testing.assert_allclose(flow(field, start, np.pi).y[:, -1], start, atol=1e-7)
-    for orbit in orbits:
-        by = [np.sort_complex(orbit.floquet(b).multipliers) for b in ("collocation", "cvodes")]
-        np.testing.assert_allclose(by[0], by[1], atol=1e-7)
-        assert orbit.floquet().trivial == 0
 
 
 def test_the_amplitude_of_a_forced_orbit_by_harmonic_balance() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from maps import is_running
 
 from casadi_skin import OdeModel, search_orbit
 
@@ -33,13 +34,6 @@ def work(job, monitor):
 if __name__ == "__main__":
     list(Runner(workers=2).run(work, [Job(1), Job(2)]))
 """
-
-
-def is_running(process: int) -> bool:
-    try:
-        return Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def children(process: int) -> list[int]:
