@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
+from casadi_skin.follow.localised_changes import find_localised_changes
 from casadi_skin.follow.point import PointSolver, hermite, newton_steps
 from casadi_skin.solve.levels import Levels
 from casadi_skin.solve.watch import check_time_limit, one_thread
@@ -26,7 +27,6 @@ from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.find_changes import Entry, find_changes
 from casadi_skin.stability.tongues.hill import EdgeHill, Hill, Sample
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError, Samples
-from casadi_skin.stability.tongues.localised import find_localised_changes
 from casadi_skin.stability.tongues.medium import Layout
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.model_coordinates import linear_spectrum

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.family_changes import EdgeOrbits, localised_changes
+from casadi_skin.follow.localised_changes import find_localised_changes
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
@@ -24,7 +25,6 @@ from casadi_skin.stability.result import reversible_floquet
 from casadi_skin.stability.tongues.diagram import StabilityDiagram
 from casadi_skin.stability.tongues.hill import Hill, Parity, count, zeros_in
 from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
-from casadi_skin.stability.tongues.localised import find_localised_changes
 from casadi_skin.stability.tongues.medium import Layout, crossings
 
 Array = NDArray[np.float64]
