@@ -172,7 +172,8 @@ class Branch(Result):
         """
         if not (self.with_stability and self.with_events and self.solutions and self.space.is_family):
             return None
-        from casadi_skin.follow.family_changes import family_tongues, localised_changes
+        from casadi_skin.follow.family_changes import family_tongues
+        from casadi_skin.follow.localised_changes import localised_changes
 
         family, points = self.space, [solution.point for solution in self.solutions]
         if self._is_localised:

@@ -1,54 +1,48 @@
-"""Every change of localised multipliers along a branch of orbits at the edge of an endless linear medium.
+"""Every change of localised multipliers along a family of orbits at the edge of an endless linear medium.
 
-Where a multiplier passes an end of a gap between arcs, or 1, a real function of the orbit is zero: these are sought on
-all stretches on which ends of arcs keep their order. Ends meet where Omega has values in closed form. What else changes
-the numbers of multipliers, two that meet or some that leave an arc, shows in these numbers on either side.
+Where a multiplier passes an end of a gap between arcs, or 1, a real function g_k of the orbit is zero: all roots of
+these are sought, as quantities of the search for events (see `Search`), on stretches on which ends of arcs keep their
+order. Ends meet where Omega has values in closed form. What else changes the numbers of multipliers, two that meet or
+some that leave an arc, shows in these numbers on either side: a stretch is divided until what is found on it accounts
+for them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import replace
+from functools import cached_property, partial
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebroots
+from numpy.polynomial import Chebyshev
 
+from casadi_skin.follow.family import Family
+from casadi_skin.follow.samples import SampledStretch
+from casadi_skin.follow.search import TANGENT_DIFFERENCE_STEP, MonitorSearch, Search, beside_on_tangent
+from casadi_skin.solve.watch import check_time_limit, one_thread
 from casadi_skin.stability.flows import FlowError
 from casadi_skin.stability.result import ContinuousSpectrum
-from casadi_skin.stability.tongues import chebyshev
-from casadi_skin.stability.tongues.diagram import (
-    BAND_EDGE,
-    COMPLEX,
-    OVERLAP,
-    REAL,
-    RESONANCE,
-    Place,
-    StabilityDiagram,
-    StabilityEdge,
-)
-from casadi_skin.stability.tongues.hill import CountError, Counts, EdgeBranch, Hill, Sample, function_of, names_of
-from casadi_skin.stability.tongues.medium import (
-    FILLED_GAP,
-    HALF_END,
-    NARROW_GAP,
-    START_END,
-    Gap,
-    Layout,
-    crossings,
-    names_of_arcs,
-)
+from casadi_skin.stability.tongues import diagram, medium
+from casadi_skin.stability.tongues.diagram import Place, StabilityDiagram, StabilityEdge
+from casadi_skin.stability.tongues.hill import CountError, Counts, EdgeHill, Hill, count, function_of, names_of
+from casadi_skin.stability.tongues.interpolation import OrbitNotFoundError
+from casadi_skin.stability.tongues.medium import HALF_END, START_END, Gap, Layout
 from casadi_skin.zero.kinds import Unresolved
 from casadi_skin.zero.problem import Array
+from casadi_skin.zero.settings import Point, Refinement
 
+LOCALISED_ORBIT_TOLERANCE = 1e-11  # of the orbits along the family, whatever the tolerance of its points
 BAND_STRETCH_DISTANCE = 1e-3  # of an interval between points: where the frequency leaves a band, between two stretches
 INSIDE_MEETING = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
 ZERO_XTOL = 1e-12  # of an interval between points: where a zero is
-FINEST_STRETCH = 1e-7  # of such an interval: stretches that are halved no further
-NEAR_MEETING = 0.1  # of an interval between points: from where on two that meet are sought by Newton's method
-LARGEST_BEND = 0.3  # of the smaller end: what a function may do in between without being looked at
+DEEPEST_DIVISION = 23  # divisions of an interval between points
+FAR_RATIO = 0.5  # of values of a function at neighbouring points: it stays away from zero between
+MEETING_DEPTH = 3  # divisions before two that meet are sought by Newton's method
 ERROR_SAFETY = 2.0
+ERROR_STEP = 1e-5  # of an interval between points: over which S gives its error
 DETERMINANT_ROUNDING = 1e-13  # of a determinant relative to its size
 MORE_SIDEBANDS = 4  # sidebands that show the error of those left out
 FAILURE_ERRORS = (ArithmeticError, np.linalg.LinAlgError, FlowError, RuntimeError)  # of orbits and linear algebra
@@ -56,96 +50,122 @@ UNCOUNTED_WORDS = "localised multipliers cannot be counted"
 FILLED_TAIL_WORDS = "the orbit fills the tail, so that its changes depend on the length"
 
 
-def find_localised_changes(branch: EdgeBranch) -> StabilityDiagram:
-    """Find every change of localised multipliers along a branch.
+def localised_changes(family: Family, points: Sequence[Point]) -> StabilityDiagram:
+    """Every change of localised multipliers along a family.
 
     Arguments:
-        branch: gives orbits at any coordinate along it.
+        family: the family, of an endless tail.
+        points: of it in order, without its linear mode of zero amplitude.
 
     Returns:
         Changes, with those that do not alter stability, and what is unresolved.
     """
-    search = Search(branch)
-    looked = [(start, end, search.look(start, end)) for start, end in search.stretches()]
-    for (_, end, before), (start, _, after) in pairwise(looked):
-        if (end, start) not in {(a, b) for a, b, _ in search.gaps}:
-            with search.gap_where_it_fails(end, start):
-                search.across(end, before, start, after)
-    ordered = tuple(sorted(search.found, key=lambda change: change.place.coordinate))
-    unresolved = tuple(
-        Unresolved(search.amplitude(start), search.amplitude(end), reason, coordinates=(start, end))
-        for start, end, reason in search.gaps
-    )
-    return StabilityDiagram(ordered, unresolved, len(search.known), localised=True)
+    with one_thread(), np.errstate(all="ignore"):
+        return EdgeOrbits(family, points).diagram()
 
 
-def mu_of(sigma: float, Omega: float) -> float:
-    """mu of an exponent: lambda + 1/lambda = 2 + 4 mu for the multiplier of half the period."""
-    return -float(np.sin(0.5 * np.pi * sigma / Omega) ** 2)
+class EdgeOrbit:
+    """One orbit: Hill's equations with their arcs and gaps, and those of the `better` orbit, which shows its error."""
 
+    def __init__(self, hill: Hill, better: Callable[[], Hill], bands: tuple[tuple[float, float], ...]) -> None:
+        self.hill, self.layout, self._better = hill, Layout(hill.Omega, bands), better
+        self._functions = dict[str, float]()
 
-def others(sample: Sample) -> tuple[Hill, Hill]:
-    """Equations that show the errors of an orbit's: those of the better orbit, and those with more sidebands."""
-    return sample.better(), sample.hill.with_more(MORE_SIDEBANDS)
-
-
-def layout_like(hill: Hill, sample: Sample) -> Layout:
-    """Arcs for the frequency of equations like those of a sample."""
-    return Layout(hill.Omega, sample.layout.bands)
-
-
-@dataclass(frozen=True)
-class Zero:
-    """A zero of one of the functions: its coordinate with error, and the function's name."""
-
-    coordinate: float
-    error: float
-    name: str
-
-
-@dataclass
-class Search:
-    """Orbits known so far, and what has been found.
-
-    `known` and `layouts` are orbits, and arcs with gaps, by coordinate; `gaps` are stretches with the reason why what
-    changes there is not known.
-    """
-
-    branch: EdgeBranch
-    known: dict[float, Sample] = field(default_factory=dict)
-    layouts: dict[float, Layout] = field(default_factory=dict)
-    found: list[StabilityEdge] = field(default_factory=list)
-    gaps: list[tuple[float, float, str]] = field(default_factory=list)
-
-    def at(self, coordinate: float) -> Sample:
-        """The orbit at a coordinate, solved once."""
-        if coordinate not in self.known:
-            self.known[coordinate] = self.branch.sample(coordinate)
-        return self.known[coordinate]
-
-    def layout(self, coordinate: float) -> Layout:
-        """Arcs and gaps at a coordinate."""
-        if coordinate in self.known:
-            return self.known[coordinate].layout
-        if coordinate not in self.layouts:
-            self.layouts[coordinate] = self.branch.layout(coordinate)
-        return self.layouts[coordinate]
-
-    def names(self, coordinate: float) -> tuple[str, ...]:
-        """Names of the arcs there."""
-        return names_of_arcs(self.layout(coordinate))
-
-    def counts(self, coordinate: float) -> Counts | None:
-        """Numbers of multipliers there; None where they cannot be counted."""
+    @cached_property
+    def counts(self) -> Counts | None:
+        """Its multipliers; None where they cannot be counted."""
         try:
-            return self.at(coordinate).counts
+            return count(self.hill, self.layout)
         except CountError:
             return None
 
-    def amplitude(self, coordinate: float) -> float:
-        """S at a coordinate, to a few digits where no orbit is known there."""
-        known = self.known.get(coordinate)
-        return self.branch.amplitude(coordinate) if known is None else known.S
+    def function(self, name: str) -> float:
+        """A function that is zero where a multiplier passes an end of a gap, computed once."""
+        if name not in self._functions:
+            self._functions[name] = function_of(self.hill, self.layout, name)
+        return self._functions[name]
+
+    def noise(self, value: Callable[[Hill, Layout], Any], size: float) -> float:
+        """The error of a value of the equations, by those of the orbit, of sidebands, and by rounding of its `size`.
+
+        The better orbit shows the first, equations with more sidebands the second.
+        """
+        here, moved = value(self.hill, self.layout), 0.0
+        for hill in (self._better(), self.hill.with_more(MORE_SIDEBANDS)):
+            moved += float(np.linalg.norm(value(hill, Layout(hill.Omega, self.layout.bands)) - here))
+        return ERROR_SAFETY * moved + DETERMINANT_ROUNDING * size
+
+
+class EdgeOrbits:
+    """Orbits anywhere between points of a family, by coordinates that count points, and what changes along it.
+
+    `gaps` are stretches of coordinates with the reason why what changes there is not known.
+    """
+
+    def __init__(self, family: Family, points: Sequence[Point]) -> None:
+        tolerance = min(LOCALISED_ORBIT_TOLERANCE, family.tolerance)
+        self.family = Family(replace(family.request, tolerance=tolerance))
+        self.solver, levels = self.family.point_solver, self.family.levels
+        self.points = [replace(point, problem=levels.problem(point.problem.resolution)) for point in points]
+        self.coordinates = np.arange(len(points), dtype=float).tolist()
+        self._equations, self._known = EdgeHill(self.family.coordinates), dict[int, tuple[Point, EdgeOrbit]]()
+        self._at = dict[float, Point]()
+        localised = self.family.coordinates.localised
+        assert localised is not None
+        self.bands = localised.bands
+        self.found, self.gaps = list[StabilityEdge](), list[Unresolved]()
+
+    def orbit(self, point: Point) -> EdgeOrbit:
+        """Equations of a point, made once: of one that has a better orbit beside it these show its error."""
+        if id(point) not in self._known:
+            check_time_limit("orbits between the points of a family")
+            own, better = Refinement(point.problem, point.z), point.better
+            if better is not None and any(point is one for one in self.points):  # as precise as the others
+                own, better = better, own
+            rest = better or own
+            equations = EdgeOrbit(self._hill(own), lambda: self._hill(rest), self.bands)
+            self._known[id(point)] = point, equations
+        return self._known[id(point)][1]
+
+    def _hill(self, orbit: Refinement) -> Hill:
+        return self._equations.hill(orbit.problem, orbit.z)
+
+    def S(self, point: Point) -> float:
+        """Amplitude of a point."""
+        return self.family.value("S", point)
+
+    # Orbits at coordinates --------------------------------------------------------------------------------------------
+
+    def at(self, coordinate: float) -> Point:
+        """The point of the branch there, or one that is solved for; raises OrbitNotFoundError."""
+        k = int(coordinate)
+        if coordinate == k and self.points[k].better is not None:
+            return self.points[k]
+        if coordinate not in self._at:
+            self._at[coordinate] = self._between(coordinate, self.solver.along)
+        return self._at[coordinate]
+
+    def layout(self, coordinate: float) -> Layout:
+        """Arcs and gaps there, on the level of the next point of the branch; raises OrbitNotFoundError."""
+        k = int(coordinate)
+        point = self.points[k] if coordinate == k else self._between(coordinate, self.solver.unrefined_along)
+        return Layout(point.Omega, self.bands)
+
+    def _between(self, coordinate: float, along: Callable[[Point, Point, float], Point | None]) -> Point:
+        before = int(np.clip(np.floor(coordinate), 0, len(self.points) - 2))
+        point = along(self.points[before], self.points[before + 1], coordinate - before)
+        if point is None:
+            S = self.S(self.points[before])
+            raise OrbitNotFoundError(f"no orbit is found near S = {S:g}: {self.solver.failure}")
+        return point
+
+    def names(self, coordinate: float) -> tuple[str, ...]:
+        """Names of the arcs there."""
+        return medium.names_of_arcs(self.layout(coordinate))
+
+    def counts(self, coordinate: float) -> Counts | None:
+        """Numbers of multipliers there; None where they cannot be counted."""
+        return self.orbit(self.at(coordinate)).counts
 
     @contextmanager
     def gap_where_it_fails(self, start: float, end: float) -> Iterator[None]:
@@ -153,55 +173,76 @@ class Search:
         try:
             yield
         except FAILURE_ERRORS as error:
-            self.gaps.append((start, end, str(error)))
+            self.gap(start, end, str(error))
 
-    def add(
-        self, coordinate: float, error: float, kind: str, mu: float, signs: tuple[int, ...], sides: tuple[int, int]
-    ) -> None:
-        """Add a change, with the numbers of localised multipliers off the circle on its `sides`.
-
-        The error of S is by its slope and bend.
-        """
-        points = self.branch.coordinates
-        step = max(error, 1e-5)
-        ends = np.clip([coordinate - step, coordinate + step], points[0], points[-1])
-        here, beside = self.at(coordinate), [self.at(float(end)) for end in ends]
-        change = max(abs(side.S - here.S) for side in beside) * error / step
-        place, (before, after) = Place(coordinate, error, here.S, change, here.Omega), sides
-        stable = before == 0, after == 0
-        self.found.append(StabilityEdge(place, kind, mu, signs, *stable, 2, off_before=before, off_after=after))
+    def gap(self, start: float, end: float, reason: str) -> None:
+        """Name a stretch on which it is not known what changes: its S is right to a few digits, without an orbit."""
+        at = [float(np.interp(c, self.coordinates, [self.S(point) for point in self.points])) for c in (start, end)]
+        self.gaps.append(Unresolved(at[0], at[1], reason, coordinates=(start, end)))
 
     # Stretches on which ends of arcs keep their order -----------------------------------------------------------------
 
-    def stretches(self) -> list[tuple[float, float]]:
+    def diagram(self) -> StabilityDiagram:
+        """All changes in order, and what is unresolved."""
+        looked = [(start, end, self._look(start, end)) for start, end in self._stretches()]
+        for (_, end, before), (start, _, after) in pairwise(looked):
+            if (end, start) not in {gap.coordinates for gap in self.gaps}:
+                with self.gap_where_it_fails(end, start):
+                    self._across(end, before, start, after)
+        ordered = sorted(self.found, key=lambda change: change.place.coordinate)
+        return StabilityDiagram(tuple(ordered), tuple(self.gaps), len(self._known), localised=True)
+
+    def _look(self, start: float, end: float) -> list[tuple[float, Counts]]:
+        """Find everything that changes on a stretch; places on it with the numbers of multipliers there."""
+        inside = [c for c in self.coordinates if start < c < end]
+        places = [start, *inside, end] if inside else np.linspace(start, end, 5).tolist()
+        counted = list[tuple[float, Counts]]()
+        with self.gap_where_it_fails(start, end):
+            counted = [(c, counts) for c in places if (counts := self.counts(c)) is not None]
+            if 2 * len(counted) < len(places):
+                self.gap(start, end, UNCOUNTED_WORDS)
+            names = names_of(self.orbit(self.at(places[len(places) // 2])).layout)
+            for (a, one), (b, other) in pairwise(counted):
+                with self.gap_where_it_fails(a, b):
+                    near = self._near_zero(a, b, names)
+                    if near or one.numbers != other.numbers:
+                        self.found += EdgeSearch(self, (a, b), near).on_stretch()
+        return counted
+
+    def _near_zero(self, start: float, end: float, names: Sequence[str]) -> list[str]:
+        """Names of the functions that do not stay away from zero between two places, by values at these alone."""
+        first, last = (self.orbit(self.at(c)) for c in (start, end))
+        ratios = [first.function(name) / (last.function(name) or np.inf) for name in names]
+        return [name for name, ratio in zip(names, ratios, strict=True) if not FAR_RATIO < ratio < 1.0 / FAR_RATIO]
+
+    def _stretches(self) -> list[tuple[float, float]]:
         """Coordinates between which the names of layouts are the same, where changes are sought."""
-        places = self.branch.coordinates.tolist()
-        bounds = [places[0]]
-        for start, end in pairwise(places):
+        bounds = [self.coordinates[0]]
+        for start, end in pairwise(self.coordinates):
             found = [(start, end)]
             with self.gap_where_it_fails(start, end):
                 found = self._breaks(start, end)
             bounds += [place for each in found for place in each]
-        bounds.append(places[-1])
+        bounds.append(self.coordinates[-1])
         pairs = zip(bounds[::2], bounds[1::2], strict=True)
         return [(a, b) for a, b in pairs if b > a and self._sought(a, b)]
 
     def _sought(self, start: float, end: float) -> bool:
         """Whether changes are sought on a stretch; one that is filled, or whose arcs are not found, is a gap."""
-        names: tuple[str, ...] = (NARROW_GAP,)
+        names: tuple[str, ...] = (medium.NARROW_GAP,)
         with self.gap_where_it_fails(start, end):
             names = self.names(start)
-        if names == (FILLED_GAP,):
-            self.gaps.append((start, end, FILLED_TAIL_WORDS))
-        return names not in ((FILLED_GAP,), (NARROW_GAP,))
+        if names == (medium.FILLED_GAP,):
+            self.gap(start, end, FILLED_TAIL_WORDS)
+        return names not in ((medium.FILLED_GAP,), (medium.NARROW_GAP,))
 
     def _breaks(self, start: float, end: float) -> list[tuple[float, float]]:
         """Places between two points at which names change, from just before to just behind."""
         from scipy.optimize import brentq
 
         first, last = self.layout(start), self.layout(end)
-        meetings = crossings(first, last)
-        if names_of_arcs(first) == names_of_arcs(last) and not meetings:
+        meetings = medium.crossings(first, last)
+        if medium.names_of_arcs(first) == medium.names_of_arcs(last) and not meetings:
             return []
         at = [
             float(brentq(lambda c, at=Omega: self.layout(float(c)).Omega - at, start, end, xtol=1e-14, rtol=1e-14))
@@ -223,175 +264,291 @@ class Search:
         middle = 0.5 * (start + end)
         return [*self._by_halving(start, middle), *self._by_halving(middle, end)]
 
-    def across(
+    def _across(
         self, end: float, before: Sequence[tuple[float, Counts]], start: float, after: Sequence[tuple[float, Counts]]
     ) -> None:
         """What changes where ends of arcs meet: an overlap begins or ends; numbers of multipliers must not change."""
         if not before or not after:
-            self.gaps.append((end, start, UNCOUNTED_WORDS))
+            self.gap(end, start, UNCOUNTED_WORDS)
             return
         (a, one), (b, other) = before[-1], after[0]
         if (one.off, sum(one.inside)) != (other.off, sum(other.inside)):
-            self.gaps.append((a, b, "numbers of localised multipliers change where ends of arcs meet"))
-        sides, here = [_overlaps(self.at(c).layout) for c in (end, start)], self.at(0.5 * (end + start))
-        for bands, order in sorted(sides[0] ^ sides[1]):
-            edges = [(here.layout.bands[bands[0]][k], here.layout.bands[bands[1]][k]) for k in (0, 1)]
+            self.gap(a, b, "numbers of localised multipliers change where ends of arcs meet")
+        middle, sides = 0.5 * (end + start), [self.at(end), self.at(start)]
+        point, (first, last) = self.at(middle), [_overlaps(self.orbit(side).layout) for side in sides]
+        here, reach = self.orbit(point).layout, max(abs(self.S(side) - self.S(point)) for side in sides)
+        for bands, order in sorted(first ^ last):
+            edges = [(here.bands[bands[0]][k], here.bands[bands[1]][k]) for k in (0, 1)]
             edge = min(edges, key=lambda two: abs(sum(two) - 2.0 * order * here.Omega))[0]
-            error = 0.5 * (start - end)
-            self.add(here.coordinate, error, OVERLAP, mu_of(edge, here.Omega), (1, -1), (one.off, one.off))
+            place = Place(middle, 0.5 * (start - end), self.S(point), reach, here.Omega)
+            self.found.append(change_at(place, diagram.OVERLAP, edge, (1, -1), (one.off, one.off)))
 
-    # Zeros of the functions that vanish where a localised multiplier passes an end of a gap ---------------------------
 
-    def zeros(self, places: Sequence[float]) -> list[Zero]:
-        """All zeros of the functions on a stretch on which ends of arcs keep their order, ascending."""
-        found = []
-        for name in names_of(self.at(places[len(places) // 2]).layout):
-            for a, b in pairwise(places):
-                found += [self._zero(name, *ends) for ends in self._brackets(name, a, b)]
-        return sorted(found, key=lambda zero: zero.coordinate)
+def change_at(
+    place: Place, kind: str, sigma: float, signatures: tuple[int, ...], sides: tuple[int, int]
+) -> StabilityEdge:
+    """A change where multipliers have an exponent, with the numbers of localised ones off the circle on its `sides`.
 
-    def _brackets(self, name: str, a: float, b: float) -> list[tuple[float, float]]:
-        """Intervals at whose ends a function has opposite signs, after halving where it may come near zero."""
-        first, last = (self.at(c).function(name) for c in (a, b))
-        if first * last < 0.0:
-            return [(a, b)]
-        if b - a <= FINEST_STRETCH or min(abs(first), abs(last)) > 0.5 * max(abs(first), abs(last)) > 0.0:
-            return []
-        middle = 0.5 * (a + b)
-        bend = abs(first + last - 2.0 * self.at(middle).function(name))
-        if bend <= LARGEST_BEND * min(abs(first), abs(last)):
-            return []
-        return [*self._brackets(name, a, middle), *self._brackets(name, middle, b)]
-
-    def _zero(self, name: str, a: float, b: float) -> Zero:
-        """The zero between two places with values of opposite signs."""
-
-        def value(c: float) -> float:
-            return self.at(c).function(name)
-
-        def moved(c: float) -> float:
-            sample = self.at(c)
-            return sum(abs(function_of(hill, layout_like(hill, sample), name) - value(c)) for hill in others(sample))
-
-        return Zero(*zero_between(value, moved, a, b, max(abs(value(a)), abs(value(b)))), name)
-
-    # Numbers of multipliers -------------------------------------------------------------------------------------------
-
-    def look(self, start: float, end: float) -> list[tuple[float, Counts]]:
-        """Find everything that changes on a stretch; places on it with the numbers of multipliers there."""
-        inside = [c for c in self.branch.coordinates.tolist() if start < c < end]
-        places = [start, *inside, end] if inside else np.linspace(start, end, 5).tolist()
-        counted = list[tuple[float, Counts]]()
-        with self.gap_where_it_fails(start, end):
-            zeros = self.zeros(places)
-            checks = {*places, *(0.5 * (a.coordinate + b.coordinate) for a, b in pairwise(zeros))}
-            checks -= {zero.coordinate for zero in zeros}
-            counted = [(c, counts) for c in sorted(checks) if (counts := self.counts(c)) is not None]
-            if 2 * len(counted) < len(checks):
-                self.gaps.append((start, end, UNCOUNTED_WORDS))
-            for (a, before), (b, after) in pairwise(counted):
-                self._between(a, before, b, after, [zero for zero in zeros if a < zero.coordinate < b])
-        return counted
-
-    def _between(self, a: float, before: Counts, b: float, after: Counts, zeros: Sequence[Zero]) -> None:
-        """What changes the numbers between two places."""
-        moved, sides = after.off - before.off, (before.off, after.off)
-        inside = [n - m for m, n in zip(before.inside, after.inside, strict=True)]
-        if not zeros and moved == 0 and not any(inside):
-            return
-        if len(zeros) == 1 and self._explains(zeros[0], moved, inside):
-            self._add_zero(zeros[0], sides)
-            return
-        two = not zeros and b - a <= NEAR_MEETING and abs(moved) == 2 and sum(map(abs, inside)) in (0, 2)
-        if two and self._meeting(a, before, b, after, inside):
-            return
-        if b - a <= FINEST_STRETCH:
-            words = f"localised multipliers off the circle change from {before.off} to {after.off}"
-            self.gaps.append((a, b, f"{words}, in gaps by {sum(inside)}"))
-            for zero in zeros:
-                self._add_zero(zero, sides)
-            return
-        middle = 0.5 * (a + b)
-        if any(abs(zero.coordinate - middle) < 0.01 * (b - a) for zero in zeros):
-            middle += 0.05 * (b - a)
-        half = self.counts(middle)
-        if half is None:
-            self.gaps.append((a, b, UNCOUNTED_WORDS))
-            return
-        self._between(a, before, middle, half, [zero for zero in zeros if zero.coordinate < middle])
-        self._between(middle, half, b, after, [zero for zero in zeros if zero.coordinate >= middle])
-
-    def _explains(self, zero: Zero, moved: int, inside: Sequence[int]) -> bool:
-        """Whether a zero changes the numbers by what they change."""
-        layout = self.at(zero.coordinate).layout
-        changed = [number for number, change in enumerate(inside) if change]
-        if not zero.name.startswith((START_END, HALF_END)):
-            return moved == 0 and len(changed) == 1 and abs(inside[changed[0]]) == 1
-        gap = 0 if zero.name.startswith(START_END) else len(layout.gaps) - 1
-        if zero.name == START_END or (zero.name.startswith(HALF_END) and layout.pinned):
-            return abs(moved) == 1 and not changed
-        return abs(moved) == 1 and changed == [gap] and inside[gap] == -moved
-
-    def _add_zero(self, zero: Zero, sides: tuple[int, int]) -> None:
-        if zero.name.startswith((START_END, HALF_END)):
-            mu, kind, signs = (0.0 if zero.name.startswith(START_END) else -1.0), REAL, tuple[int, ...]()
-        else:
-            layout = self.at(zero.coordinate).layout
-            (end,) = (end for end in layout.ends if end.name == zero.name)
-            mu, kind = mu_of(end.sigma, layout.Omega), BAND_EDGE
-            signs = (1 if end.turns % 2 == 0 else -1,)
-        self.add(zero.coordinate, zero.error, kind, mu, signs, sides)
-
-    def _meeting(self, a: float, before: Counts, b: float, after: Counts, inside: Sequence[int]) -> bool:
-        """A collision in a gap, or multipliers that leave an arc, located; false where the interval is too long."""
-        try:
-            if any(inside):
-                gap = next(number for number, change in enumerate(inside) if change)
-                if inside[gap] != before.off - after.off:
-                    return False
-                kind, (coordinate, error, sigma) = COMPLEX, collision(self, a, before, b, after, gap)
-            else:
-                kind, (coordinate, error, sigma) = RESONANCE, resonance(self, a, b)
-        except (MeetingError, np.linalg.LinAlgError):
-            return False
-        if not a <= coordinate <= b:
-            return False
-        mu = mu_of(sigma, self.at(coordinate).Omega)
-        self.add(coordinate, error, kind, mu, (1, -1), (before.off, after.off))
-        return True
+    lambda + 1/lambda = 2 + 4 mu for the multiplier of half the period.
+    """
+    mu, (before, after) = -float(np.sin(0.5 * np.pi * sigma / place.Omega) ** 2), sides
+    return StabilityEdge(place, kind, mu, signatures, before == 0, after == 0, 2, off_before=before, off_after=after)
 
 
 def _overlaps(layout: Layout) -> set[tuple[tuple[int, int], int]]:
     return {(o.bands, o.order) for o in ContinuousSpectrum(layout.Omega, layout.bands, 2).overlaps}
 
 
-def zero_between(
-    value: Callable[[float], float], moved: Callable[[float], float], a: float, b: float, size: float
-) -> tuple[float, float]:
-    """The zero of a function of `size` between places where it has opposite signs, and its error.
+# What changes the numbers of multipliers between two orbits -----------------------------------------------------------
 
-    `moved` is by how much equations that show the errors of an orbit's change the function there.
+
+class Zero(NamedTuple):
+    """A zero of the function of a name, its place along a stretch, and on the branch."""
+
+    sigma: float
+    name: str
+    place: Place
+
+
+class EdgeSearch(Search):
+    """The account between two orbits between which ends of arcs keep their order.
+
+    A part is resolved where what is found on it accounts for the change of the numbers of multipliers, in each gap and
+    off the circle: a zero of one of the functions of the `names`, or two multipliers that meet. Others
+    are gaps of the `orbits`.
     """
-    from scipy.optimize import brentq
 
-    at = float(brentq(lambda c: value(float(c)), a, b, xtol=ZERO_XTOL * (b - a), rtol=4e-16 * 4))
-    low, high = np.clip([at - 1e-3 * (b - a), at + 1e-3 * (b - a)], a, b).tolist()
-    slope = abs(value(high) - value(low)) / (high - low)
-    error = abs(value(at)) + ERROR_SAFETY * moved(at) + DETERMINANT_ROUNDING * size
-    return at, float(error / slope) + ZERO_XTOL * (b - a)
+    deepest, root_xtol = DEEPEST_DIVISION, ZERO_XTOL
+
+    def __init__(self, orbits: EdgeOrbits, span: tuple[float, float], names: Sequence[str]) -> None:
+        super().__init__(orbits.solver, orbits.at(span[0]), orbits.at(span[1]))
+        self.orbits, self.span, self.names = orbits, span, names
+
+    def orbit(self, point: Point) -> EdgeOrbit:
+        """Equations at a point."""
+        return self.orbits.orbit(self.own(point))
+
+    def is_clear(self, point: Point) -> bool:
+        return self.orbit(point).counts is not None
+
+    def coordinate(self, point: Point) -> float:
+        """The coordinate of a point, between those of the ends."""
+        start, end = self.span
+        return start + (end - start) * self.sigma(point) / self.length
+
+    # Zeros of functions -----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def zeros(self) -> list[Zero]:
+        """All zeros of the functions, in order."""
+        if not self.names:
+            return []
+
+        def values(point: Point) -> Array:
+            return np.array([self.orbit(point).function(name) for name in self.names])
+
+        search, found = MonitorSearch(self.orbits.family, *self.ends, self.names, values), list[Zero]()
+        search.root_xtol = ZERO_XTOL
+        for point in search.on_stretch():
+            name = point.special
+            size = max(abs(self.orbit(end).function(name)) for end in self.ends)
+            place = self.place(point, partial(function_of, name=name), size)
+            found.append(Zero(self.sigma(point), name, place))
+        for gap in search.gaps:
+            self.orbits.gap(*self.span, gap.reason)
+        return found
+
+    def place(self, point: Point, value: Callable[[Hill, Layout], float], size: float) -> Place:
+        """The place of a point where a function of the equations of that `size` vanishes, with its error."""
+        orbit = self.orbit(point)
+        ahead = self.orbits.orbit(beside_on_tangent(point, TANGENT_DIFFERENCE_STEP))
+        here, then = (value(one.hill, one.layout) for one in (orbit, ahead))
+        along = abs(self.row @ point.problem.prolong(point.tangent, self.last.problem))
+        off = (abs(here) + orbit.noise(value, size)) * TANGENT_DIFFERENCE_STEP / abs(then - here) * along
+        return self.place_within(point, float(off))
+
+    def place_within(self, point: Point, off: float) -> Place:
+        """The place of a point that may be `off` along the stretch by so much: S moves by its slope and bend there."""
+        off += ZERO_XTOL * self.length
+        (curve, _), index = self.solver.curve(*self.ends), self.last.problem.parameter_index
+        step, S_of = max(off, ERROR_STEP * self.length), self.orbits.family.request.S_of
+        here, *beside = (S_of(float(curve.at(self.sigma(point) + side)[index])) for side in (0.0, -step, step))
+        error, along = max(abs(S - here) for S in beside) * off / step, float(np.ptp(self.span)) * off / self.length
+        return Place(self.coordinate(point), along, self.orbits.S(point), error, self.orbit(point).layout.Omega)
+
+    # The account ------------------------------------------------------------------------------------------------------
+
+    def zeros_on(self, stretch: SampledStretch) -> list[Zero]:
+        """Those on a part."""
+        start, end = (self.sigma(one.point) for one in (stretch.first, stretch.last))
+        return [zero for zero in self.zeros if start <= zero.sigma < end]
+
+    def numbers(self, stretch: SampledStretch) -> tuple[Counts, Counts] | None:
+        """Numbers of multipliers at both ends; None where they cannot be counted."""
+        before, after = (self.orbit(end.point).counts for end in (stretch.first, stretch.last))
+        return None if before is None or after is None else (before, after)
+
+    def passes(self, ends: SampledStretch) -> bool:
+        numbers = self.numbers(ends)
+        return numbers is not None and numbers[0].numbers == numbers[1].numbers and not self.zeros_on(ends)
+
+    def suspected(self, stretch: SampledStretch) -> float | None:
+        """The middle between two zeros."""
+        zeros = self.zeros_on(stretch)
+        if len(zeros) < 2:
+            return None
+        return (0.5 * (zeros[0].sigma + zeros[1].sigma) - self.sigma(stretch.first.point)) / stretch.length
+
+    def found(self, stretch: SampledStretch, depth: int, last: bool) -> Sequence[StabilityEdge] | None:
+        numbers, zeros, event = self.numbers(stretch), self.zeros_on(stretch), None
+        if numbers is None:
+            return self.given_up(stretch)
+        if len(zeros) == 1 and self.explains(zeros[0].name, *numbers):
+            return [self.change(zeros[0], *numbers)]
+        if not zeros and depth >= MEETING_DEPTH:
+            event = self.meeting(stretch, *numbers)
+        if event is not None:
+            return [event]
+        return self.given_up(stretch) if last else None
+
+    def given_up(self, stretch: SampledStretch) -> Sequence[StabilityEdge]:
+        """Zeros on a part that do not account for the numbers at its ends, which is named."""
+        start, end = (self.coordinate(one.point) for one in (stretch.first, stretch.last))
+        numbers, words = self.numbers(stretch), UNCOUNTED_WORDS
+        if numbers is not None:
+            before, after = numbers
+            words = f"localised multipliers off the circle change from {before.off} to {after.off}"
+            words += f", in gaps by {sum(after.inside) - sum(before.inside)}"
+        self.orbits.gap(start, end, words)
+        return [] if numbers is None else [self.change(zero, *numbers) for zero in self.zeros_on(stretch)]
+
+    def explains(self, name: str, before: Counts, after: Counts) -> bool:
+        """Whether a zero changes the numbers by what they change."""
+        moved, inside = after.off - before.off, np.subtract(after.inside, before.inside)
+        if not name.startswith((START_END, HALF_END)):
+            return moved == 0 and int(np.sum(np.abs(inside))) == 1
+        expected, pinned = np.zeros_like(inside), self.orbit(self.first).layout.pinned
+        if name != START_END and not (name.startswith(HALF_END) and pinned):  # it comes from the gap at that end
+            expected[0 if name.startswith(START_END) else -1] = -moved
+        return abs(moved) == 1 and np.array_equal(inside, expected)
+
+    def change(self, zero: Zero, before: Counts, after: Counts) -> StabilityEdge:
+        """The change at a zero of a function."""
+        Omega, sides = zero.place.Omega, (before.off, after.off)
+        if zero.name.startswith((START_END, HALF_END)):
+            return change_at(zero.place, diagram.REAL, 0.0 if zero.name.startswith(START_END) else Omega, (), sides)
+        (end,) = (end for end in Layout(Omega, self.orbits.bands).ends if end.name == zero.name)
+        return change_at(zero.place, diagram.BAND_EDGE, end.sigma, (1 if end.turns % 2 == 0 else -1,), sides)
+
+    # Two that meet ----------------------------------------------------------------------------------------------------
+
+    def meeting(self, stretch: SampledStretch, before: Counts, after: Counts) -> StabilityEdge | None:
+        """A collision in a gap, or multipliers that leave an arc; None where it is not found on the stretch."""
+        moved, inside = after.off - before.off, np.subtract(after.inside, before.inside)
+        gaps = np.flatnonzero(inside).tolist()
+        if abs(moved) != 2 or (gaps and (len(gaps) > 1 or inside[gaps[0]] != -moved)):
+            return None
+        try:
+            if gaps:
+                kind, found = diagram.COMPLEX, self.collision(stretch, before, after, gaps[0])
+            else:
+                kind, found = diagram.RESONANCE, self.resonance(stretch)
+        except (MeetingError, np.linalg.LinAlgError):
+            return None
+        low, high = (self.coordinate(end.point) for end in (stretch.first, stretch.last))
+        if found is None or not low <= found[0].coordinate <= high:
+            return None
+        return change_at(found[0], kind, found[1], (1, -1), (before.off, after.off))
+
+    def collision(
+        self, stretch: SampledStretch, before: Counts, after: Counts, number: int
+    ) -> tuple[Place, float] | None:
+        """The place where two multipliers of a gap meet, and the exponent there; raises MeetingError.
+
+        The square of half their distance is zero there. They are followed from the end at which they are in the gap, so
+        that at any orbit between they are those nearest to the ones of the known orbit whose Omega is nearest.
+        """
+        leaves = before.off < after.off
+        (start, counts), ends = (stretch.first, before) if leaves else (stretch.last, after), stretch.samples
+        orbit = self.orbit(start.point)
+        zeros = [orbit.layout.gaps[number].place(sigma) for sigma in counts.zeros[number]]
+        one, other = min(pairwise(zeros), key=lambda two: two[1] - two[0])
+        pairs = {orbit.layout.Omega: (0.5 * (one + other), 0.25 * (other - one) ** 2)}
+
+        def square(hill: Hill, layout: Layout) -> float:
+            near = min(pairs, key=lambda Omega: abs(Omega - hill.Omega))
+            pairs[hill.Omega] = _pair_near(hill, layout.gaps[number], *pairs[near])
+            return pairs[hill.Omega][1]
+
+        for part in np.linspace(0.0, 1.0, INTERVAL_PARTS + 1)[1:-1].tolist():
+            point = self.along(ends[0].point, ends[-1].point, part if leaves else 1.0 - part)
+            if point is not None and square(self.orbit(point).hill, self.orbit(point).layout) < 0.0:
+                break
+        root = self.root_of(
+            stretch, lambda point: square(self.orbit(point).hill, self.orbit(point).layout), 0.0, diagram.COMPLEX
+        )
+        if root is None:
+            return None
+        place = self.place(root, square, 1.0)
+        mean, _ = pairs[min(pairs, key=lambda Omega: abs(Omega - place.Omega))]
+        gap = Layout(place.Omega, self.orbits.bands).gaps[number]
+        return place, float(gap.sigma(np.array([mean]))[0])
+
+    def resonance(self, stretch: SampledStretch) -> tuple[Place, float]:
+        """The place where multipliers leave an arc, and their exponent, a zero of D under it; raises MeetingError.
+
+        Unknowns are the exponent over Omega, and the place on the stretch from its middle, over its length.
+        """
+        from scipy.optimize import root
+
+        first, last = (self.on_branch(end.point) for end in (stretch.first, stretch.last))
+        known = dict[float, Point]()
+
+        def point_at(fraction: float) -> Point:
+            if fraction not in known:
+                point = self.solver.along(first, last, 0.5 + fraction) if abs(fraction) <= FARTHEST_MEETING else None
+                if point is None:
+                    raise MeetingError("a multiplier that comes out of an arc is not found")
+                known[fraction] = point
+            return known[fraction]
+
+        middle = self.orbit(point_at(0.0))
+        Omega, covered = middle.layout.Omega, [(s.sigma, e.sigma) for s, e, under in middle.layout.intervals if under]
+        begin = _least_under_arcs(middle.hill, covered)
+        scale = float(middle.hill.determinant(np.array([begin]))[0][0])
+
+        def value(hill: Hill, x: Array) -> Array:
+            logs, phases = hill.determinant(np.array([x[0] * Omega]))
+            D = complex(phases[0] * np.exp(logs[0] - scale))
+            return np.array([D.real, D.imag])
+
+        def values(x: Array) -> Array:
+            return value(self.orbit(point_at(float(x[1]))).hill, x)
+
+        def slopes(x: Array) -> Array:
+            steps = np.diag([DIFFERENCE, COORDINATE_DIFFERENCE])
+            return np.stack([0.5 * (values(x + h) - values(x - h)) / np.sum(h) for h in steps], axis=1)
+
+        x = root(values, [begin / Omega, 0.0], jac=slopes, tol=ZERO_XTOL).x
+        point, jacobian = point_at(float(x[1])), slopes(x)
+        if not np.linalg.norm(np.linalg.solve(jacobian, values(x))) <= SOLVED_STEP:
+            raise MeetingError("a multiplier that comes out of an arc is not found")
+        noise = self.orbit(point).noise(lambda hill, _: value(hill, x), float(np.max(np.abs(jacobian))))
+        off = float(np.linalg.norm(np.linalg.inv(jacobian)[1])) * noise
+        return self.place_within(point, off * stretch.length), float(x[0]) * Omega
 
 
-# Places on a branch where two localised multipliers meet, or one leaves the arcs: two equations -----------------------
+# Two localised multipliers that meet, or leave the arcs ---------------------------------------------------------------
 
 PAIR_STEPS = 12
 PAIR_REACH = 0.1  # to either side of a pair: where D is a series
 PAIR_DEGREE = 16
-INTERVAL_PARTS = 8  # of an interval, by which a pair is followed
+INTERVAL_PARTS = 8  # of a stretch, by which a pair is followed
 DIFFERENCE = 1e-6  # of Omega, for derivatives by an exponent
-COORDINATE_DIFFERENCE = 1e-3  # of the interval, for derivatives along the branch
+COORDINATE_DIFFERENCE = 1e-3  # of the stretch, for derivatives along the branch
 ARC_VALUES = 100  # values under an arc among which the smallest determinant is sought
-SOLVED_STEP = 1e-9  # of Omega and of the interval: a last step of Newton's method
-FARTHEST_MEETING = 4.0  # intervals from the middle of one
+SOLVED_STEP = 1e-9  # of Omega and of the stretch: a last step of Newton's method
+FARTHEST_MEETING = 4.0  # of a stretch, from its middle
 
 
 class MeetingError(ArithmeticError):
@@ -408,9 +565,8 @@ def _pair_near(hill: Hill, gap: Gap, mean: float, square: float) -> tuple[float,
         first, last = max(mean - reach, -1.0), min(mean + reach, -0.05 * PAIR_REACH if gap.mirrored else 1.0)
         if first >= last:
             break
-        middle, half = 0.5 * (first + last), 0.5 * (last - first)
-        series = chebyshev.transform(PAIR_DEGREE) @ hill.within(gap, middle + half * chebyshev.nodes(PAIR_DEGREE))
-        roots = middle + half * chebroots(series)
+        series = Chebyshev.interpolate(partial(hill.within, gap), PAIR_DEGREE, [first, last])
+        roots = np.asarray(series.roots(), dtype=complex)
         one, other = roots[np.argsort(np.abs(roots - mean))[:2]]
         before, mean, square = mean, float(np.real(0.5 * (one + other))), float(np.real(0.25 * (one - other) ** 2))
         if abs(np.imag(one + other)) > ZERO_XTOL:
@@ -418,72 +574,6 @@ def _pair_near(hill: Hill, gap: Gap, mean: float, square: float) -> tuple[float,
         if abs(mean - before) <= 0.5 * reach:
             return mean, square
     raise MeetingError("two multipliers that meet are not found")
-
-
-def collision(
-    search: Search, a: float, before: Counts, b: float, after: Counts, gap: int
-) -> tuple[float, float, float]:
-    """Coordinate, error and exponent where two multipliers of a gap meet; raises MeetingError."""
-    start, other, counts = (a, b, before) if before.off < after.off else (b, a, after)
-    zeros = [search.at(start).layout.gaps[gap].place(sigma) for sigma in counts.zeros[gap]]
-    first, last = min(pairwise(zeros), key=lambda two: two[1] - two[0])
-    pairs = {start: (0.5 * (first + last), 0.25 * (last - first) ** 2)}
-
-    def square(c: float) -> float:
-        near = min(pairs, key=lambda known: abs(known - c))
-        pairs[c] = _pair_near(search.at(c).hill, search.at(c).layout.gaps[gap], *pairs[near])
-        return pairs[c][1]
-
-    parts = (start + float(part) * (other - start) for part in np.linspace(0.0, 1.0, INTERVAL_PARTS + 1)[1:])
-    end = next((c for c in parts if square(c) < 0.0), None)  # the pair, followed to the other end
-    if end is None:
-        raise MeetingError("two multipliers of a gap do not meet")
-
-    def moved(c: float) -> float:
-        sample = search.at(c)
-        pairs_there = (_pair_near(hill, layout_like(hill, sample).gaps[gap], *pairs[c]) for hill in others(sample))
-        return sum(abs(moved[1] - pairs[c][1]) for moved in pairs_there)
-
-    at, error = zero_between(square, moved, min(start, end), max(start, end), 1.0)
-    return at, error, float(search.at(at).layout.gaps[gap].sigma(np.array([pairs[at][0]]))[0])
-
-
-def resonance(search: Search, a: float, b: float) -> tuple[float, float, float]:
-    """Coordinate, error and exponent where multipliers leave an arc, a zero of D under it; raises MeetingError."""
-    from scipy.optimize import root
-
-    middle, width = search.at(0.5 * (a + b)), b - a
-    begin = _least_under_arcs(middle.hill, [(s.sigma, e.sigma) for s, e, covered in middle.layout.intervals if covered])
-    scale = float(middle.hill.determinant(np.array([begin]))[0][0])
-
-    def value(hill: Hill, x: Array) -> Array:
-        logs, phases = hill.determinant(np.array([x[0] * middle.Omega]))
-        D = complex(phases[0] * np.exp(logs[0] - scale))
-        return np.array([D.real, D.imag])
-
-    def hill_at(x: Array) -> Hill:
-        if not abs(x[1]) <= FARTHEST_MEETING:
-            raise MeetingError("a multiplier that comes out of an arc is not found")
-        return search.at(middle.coordinate + float(x[1]) * width).hill
-
-    def slopes(x: Array) -> Array:
-        steps = np.diag([DIFFERENCE, COORDINATE_DIFFERENCE])
-        ends = [[value(hill_at(x + side * step), x + side * step) for side in (1.0, -1.0)] for step in steps]
-        return np.stack([0.5 * (up - down) / np.sum(h) for (up, down), h in zip(ends, steps, strict=True)], axis=1)
-
-    def values(x: Array) -> Array:
-        return value(hill_at(x), x)
-
-    solved = root(values, [begin / middle.Omega, 0.0], jac=slopes, tol=ZERO_XTOL)
-    at = middle.coordinate + float(solved.x[1]) * width
-    sample, jacobian = search.at(at), slopes(solved.x)
-    here = value(sample.hill, solved.x)
-    if not np.linalg.norm(np.linalg.solve(jacobian, here)) <= SOLVED_STEP:
-        raise MeetingError("a multiplier that comes out of an arc is not found")
-    moved = ERROR_SAFETY * sum(float(np.linalg.norm(value(hill, solved.x) - here)) for hill in others(sample))
-    moved += DETERMINANT_ROUNDING * float(np.max(np.abs(jacobian)))
-    error = float(np.linalg.norm(np.linalg.inv(jacobian)[1])) * moved
-    return at, (error + ZERO_XTOL) * width, float(solved.x[0]) * middle.Omega
 
 
 def _least_under_arcs(hill: Hill, intervals: Sequence[tuple[float, float]]) -> float:

@@ -283,9 +283,9 @@ class SampledStretch:
         towards = _sign(g[0]) * self._halves[0].values
         same = np.all(_sign(g) == _sign(g[0]), axis=0) & ~self.isolates_roots
         least = np.where(same, np.min(towards, axis=(0, 1)) / np.maximum(np.max(np.abs(g), axis=0), 1e-300), 1.0)
-        quantity = int(np.argmin(least))
-        if least[quantity] > 0.0:
+        if not np.any(least <= 0.0):
             return None
+        quantity = int(np.argmin(least))
         return float(self._places(quantity)[np.argmin(towards[..., quantity])] / self.length)
 
     def root(self, quantity: int | None) -> float:

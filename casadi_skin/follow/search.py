@@ -122,9 +122,10 @@ class Search(BranchStretch, ABC):
         gaps: those that are not resolved.
         deepest, most_parts: how often a part may be divided, and how many there may be.
         turn: period of the imaginary parts of exponents.
+        root_xtol: of a stretch, of roots of quantities where no extended equations are solved.
     """
 
-    deepest, most_parts, turn = DEEPEST_DIVISION, MOST_PARTS, np.inf
+    deepest, most_parts, turn, root_xtol = DEEPEST_DIVISION, MOST_PARTS, np.inf, ROOT_XTOL
 
     def __init__(self, solver: PointSolver, before: Point, after: Point, real: bool = False) -> None:
         super().__init__(solver, before, after)
@@ -217,7 +218,7 @@ class Search(BranchStretch, ABC):
         if not test(before) * test(after) < 0.0:
             return None
         try:
-            zero, beside, _ = zero_between(self.solver, before, after, test, kind, ROOT_XTOL, along, nearest=True)
+            zero, beside, _ = zero_between(self.solver, before, after, test, kind, self.root_xtol, along, nearest=True)
         except NotLocatedError:
             return None
         root = zero.point

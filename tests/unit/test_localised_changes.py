@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_skin import Bond, Branch, Chain, LongLattice, Site, follow_family, read_result
 from casadi_skin.follow.family import Family
-from casadi_skin.follow.family_changes import EdgeOrbits, localised_changes
-from casadi_skin.follow.localised_changes import find_localised_changes
+from casadi_skin.follow.localised_changes import EdgeOrbits, localised_changes
 from casadi_skin.lattice.tail import Tail
 from casadi_skin.native import eliminated
 from casadi_skin.runs.program import main
@@ -358,7 +357,7 @@ def test_orbits_that_are_not_found_where_arcs_meet_leave_a_named_gap(monkeypatch
     first = next(number for number, orbit in enumerate(branch.orbits) if orbit.Omega > HIGH + 1e-6)
     points = [orbit.point for orbit in branch.orbits[first - 2 : first + 1]]
     orbits = EdgeOrbits(branch.space, points)
-    assert find_localised_changes(orbits).complete
+    assert orbits.diagram().complete
     known = EdgeOrbits.layout
 
     def layout(self: EdgeOrbits, coordinate: float) -> Layout:
@@ -367,10 +366,10 @@ def test_orbits_that_are_not_found_where_arcs_meet_leave_a_named_gap(monkeypatch
         return known(self, coordinate)
 
     monkeypatch.setattr(EdgeOrbits, "layout", layout)
-    found = find_localised_changes(orbits)
+    found = EdgeOrbits(branch.space, points).diagram()
     (gap,) = found.unresolved
     assert (gap.coordinate_start, gap.coordinate_end, gap.reason) == (1.0, 2.0, "no orbit is found there")
-    assert (gap.S_start, gap.S_end) == pytest.approx([orbits.amplitude(place) for place in (1.0, 2.0)], rel=1e-6)
+    assert (gap.S_start, gap.S_end) == pytest.approx([orbits.S(point) for point in points[1:]], rel=1e-6)
 
 
 @pytest.mark.slow
@@ -419,13 +418,13 @@ def test_a_multiplier_of_a_dimer_that_passes_the_edge_of_a_band_is_listed() -> N
     assert isinstance(branch.space, Family)
     behind = next(number for number, orbit in enumerate(branch.orbits) if orbit.S > 1.189)
     orbits = EdgeOrbits(branch.space, [orbit.point for orbit in branch.orbits[behind - 1 : behind + 1]])
-    found = find_localised_changes(orbits)
+    found = orbits.diagram()
     (change,) = found.further
     assert found.complete
     assert not found.changes
     assert (change.kind, change.signatures) == ("band edge", (1,))
     assert pytest.approx(1.1889630050, abs=1e-9) == change.S
-    before, after = (count(at.hill.with_more(3), at.layout) for at in map(orbits.sample, (0.0, 1.0)))
+    before, after = (count(at.hill.with_more(3), at.layout) for at in map(orbits.orbit, map(orbits.at, (0.0, 1.0))))
     assert before.off == after.off == 0
     assert abs(sum(after.inside) - sum(before.inside)) == 1
 
@@ -436,9 +435,10 @@ def test_counts_are_those_of_cut_problems() -> None:
     branch = follow_family(SOFT, "first", 0.2, at=(0.08, 0.2), tolerance=1e-7)
     orbits = EdgeOrbits(branch.space, [branch.at(S).point for S in (0.08, 0.2)])  # type: ignore[arg-type]
     for place, expected in ((0.0, 0), (1.0, 1)):
-        sample = orbits.sample(place)
-        assert sample.counts.off == expected
-        assert count(sample.hill.with_more(3), sample.layout) == sample.counts
+        orbit = orbits.orbit(orbits.at(place))
+        assert orbit.counts is not None
+        assert orbit.counts.off == expected
+        assert count(orbit.hill.with_more(3), orbit.layout) == orbit.counts
 
 
 @pytest.mark.slow

@@ -10,10 +10,9 @@ limit from above. At sigma = 0 and Omega, where a multiplier of the half period 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -238,6 +237,11 @@ class Counts:
         """Numbers of exponents in the gaps."""
         return tuple(len(some) for some in self.zeros)
 
+    @property
+    def numbers(self) -> tuple[tuple[int, ...], int]:
+        """These, and the number off the circle."""
+        return self.inside, self.off
+
 
 def count(hill: Hill, layout: Layout) -> Counts:
     """Count localised multipliers; raises CountError where the argument does not turn by whole half turns."""
@@ -332,58 +336,6 @@ def function_of(hill: Hill, layout: Layout, name: str) -> float:
     return float(np.real(signs[0]) * np.exp(logs[0]))
 
 
-# Orbits along a branch at the edge of a linear medium as the search for changes takes them: equations, and errors -----
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One orbit: its coordinate, amplitude and Hill's equations, and those of the better orbit that shows its error."""
-
-    coordinate: float
-    S: float
-    hill: Hill
-    layout: Layout
-    better: Callable[[], Hill] = field(repr=False)
-    _functions: dict[str, float] = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def Omega(self) -> float:
-        """Frequency."""
-        return self.hill.Omega
-
-    def function(self, name: str) -> float:
-        """A function of the orbit; each is zero where a multiplier passes an end of a gap."""
-        if name not in self._functions:
-            self._functions[name] = function_of(self.hill, self.layout, name)
-        return self._functions[name]
-
-    @cached_property
-    def counts(self) -> Counts:
-        """Localised multipliers; raises CountError."""
-        return count(self.hill, self.layout)
-
-
-class EdgeBranch(Protocol):
-    """A branch of orbits at the edge of a linear medium."""
-
-    @property
-    def coordinates(self) -> Array:
-        """Coordinates of its points, ascending."""
-        ...
-
-    def sample(self, coordinate: float) -> Sample:
-        """The orbit there; raises OrbitNotFoundError."""
-        ...
-
-    def layout(self, coordinate: float) -> Layout:
-        """Its arcs and gaps, from a frequency that is nearly that of the sample; raises OrbitNotFoundError."""
-        ...
-
-    def amplitude(self, coordinate: float) -> float:
-        """S near a coordinate, to a few digits and without an orbit: it names places that are not known."""
-        ...
-
-
 # Hill's equations of orbits at the edge of an endless tail, and the number of their multipliers off the circle --------
 
 PHASES_PER_COSINE = 4  # values over half a period for each odd cosine
@@ -407,7 +359,7 @@ class EdgeHill:
             if names_of_arcs(layout) in ((FILLED_GAP,), (NARROW_GAP,)):
                 return None
             try:
-                return Sample(0.0, 0.0, hill, layout, lambda: hill).counts.off
+                return count(hill, layout).off
             except (ArithmeticError, np.linalg.LinAlgError):
                 return None
 
