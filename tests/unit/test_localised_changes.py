@@ -430,6 +430,20 @@ def test_a_multiplier_of_a_dimer_that_passes_the_edge_of_a_band_is_listed() -> N
 
 
 @pytest.mark.slow
+def test_nothing_changes_where_the_frequency_is_extremal() -> None:
+    """Hill's equations have an even solution of the orbit's own frequency there, beside its velocity."""
+    branch = follow_family(Chain(math.inf, 0.3, 0.3, 1.0), "last", 3.0, tolerance=1e-9)
+    assert isinstance(branch.space, Family)
+    points = [orbit.point for orbit in branch.orbits]
+    found = EdgeOrbits(branch.space, points).diagram()
+    assert np.count_nonzero(np.abs(np.diff(np.sign(np.diff(branch.Omega)))) == 2.0) == 2
+    assert [(change.kind, change.off_before, change.off_after) for change in found.all] == [
+        ("real", 0, 1), ("real", 1, 0), ("real", 0, 1),
+    ]  # fmt: skip
+    assert found.complete
+
+
+@pytest.mark.slow
 def test_counts_are_those_of_cut_problems() -> None:
     """At single orbits of a short stretch: on the circle and off it."""
     branch = follow_family(SOFT, "first", 0.2, at=(0.08, 0.2), tolerance=1e-7)

@@ -315,8 +315,8 @@ def names_of(layout: Layout) -> tuple[str, ...]:
     found = dict.fromkeys(end.name for gap in layout.gaps for end in (gap.start, gap.end))
     if START_END in found:
         found |= dict.fromkeys((COSINE_START, SINE_START))
-    if HALF_END in found:
-        found |= dict.fromkeys((COSINE_HALF, HALF_VELOCITY))
+    if HALF_END in found:  # that of cosines alone is zero where Omega is extremal, and no multiplier passes
+        found[HALF_VELOCITY] = None
     at_ends = [name for name in found if name not in (START_END, HALF_END)]
     covered = [START_END] if layout.covers_start else []  # real multipliers, whose determinant is real, leave the arcs
     pinned = [COSINE_HALF] if layout.pinned else []  # that of sines falls to 0 where the gap opens
