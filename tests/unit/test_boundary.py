@@ -188,26 +188,6 @@ def test_carriers_problem_has_the_spikes_that_shooting_confirms() -> None:
 # Convergence ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("transcription", "degree", "order"), [("gauss", 2, 4), ("gauss", 3, 6), ("radau", 2, 3), ("radau", 3, 5)]
-)
-def test_ends_of_intervals_converge_with_the_order_of_the_method(transcription: str, degree: int, order: int) -> None:
-    """2d at Gauss points, 2d - 1 at Radau's (Hairer and Wanner 1996, section IV.5): u' at 0 of Bratu's problem."""
-    from casadi_skin.follow.find import packed, space_of
-
-    problem, theta = bratu(), bratu_angles(1.0)[0]
-    slope = theta * np.tanh(theta / 4.0)
-    options = {"tolerance": 1e-12, "transcription": transcription, "degree": degree, "corrector": "newton"}
-    levels = space_of(problem, [0.0, 0.0], options).levels
-    errors = []
-    for intervals in (5, 8, 12):
-        equations = levels.problem(intervals)
-        z = levels.corrector(equations).correct(packed(equations, [0.0, 0.0]), equations.parameter_row(), 0.0).z  # type: ignore[arg-type]
-        errors.append(abs(z[1] - slope))
-    measured = np.log(errors[0] / errors[2]) / np.log(12 / 5)
-    assert abs(measured - order) < 0.3
-
-
 # Guesses --------------------------------------------------------------------------------------------------------------
 
 

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from marks import slow
 from numpy.typing import NDArray
-from paper_data import sensitivity, sensitivity_limit
-from scipy.integrate import solve_ivp
-from scipy.optimize import fsolve
+from paper_data import sensitivity
 
 from casadi_skin import Chain
 from casadi_skin.lattice import closed_forms
@@ -212,23 +210,6 @@ def test_squared_frequencies_keep_every_digit(sites: int, modes: tuple[int, ...]
     assert lower == limit == 0 or off(lower, limit) < 4 * EPS
 
 
-@pytest.mark.parametrize("gamma", [0.25, -0.7, 0.0])
-@pytest.mark.parametrize("sites", [1, 2, 24])
-def test_diagonalisation_in_the_gauge_gives_frequencies_and_eigenvectors_of_the_physical_matrix(
-    sites: int, gamma: float
-) -> None:
-    chain = Chain(sites, 0.3, gamma, 1.0)
-    values, vectors = chain.diagonalise()
-    np.testing.assert_allclose(values, chain.linear_frequencies() ** 2, rtol=1e-14)
-    # Row by row relative to the envelope, so that the far edge counts as much as the near one.
-    residual = (paper_matrix(sites, 0.3, gamma) @ vectors - vectors * values) / chain.rho[:, None]
-    assert np.abs(residual).max() < 5e-14
-    for column, mode in zip(vectors.T, range(1, sites + 1), strict=True):
-        closed_form = chain.right_eigenvector(mode)
-        scale = (column @ closed_form) / (closed_form @ closed_form)
-        np.testing.assert_allclose(column / chain.rho, scale * closed_form / chain.rho, atol=1e-12)
-
-
 @pytest.mark.parametrize("gamma", [1 - 1e-15, -(1 - 1e-9), 0.5, 1e-8])
 def test_gauge_coupling_keeps_its_digits_near_one_way_coupling(gamma: float) -> None:
     with mp.workdps(DIGITS):
@@ -320,59 +301,8 @@ def test_one_way_coupling_gives_the_limit_of_the_papers_sums(mode: int) -> None:
     assert found == pytest.approx(3 / (4 * 4 * np.sqrt(3.0)) * np.sin(3 * mode * np.pi / 4) ** 2, rel=1e-14)
 
 
-def shoot(matrix: Array, g: float, mode: int, S: float) -> tuple[float, Array]:
-    """Omega and y(0)/sqrt(S) of the orbit with y'(0) = 0, y(T/4) = 0 and |y(0)|^2 = S, from numpy's linear mode."""
-    values, vectors = np.linalg.eig(matrix)
-    chosen, sites = np.argsort(values)[mode - 1], len(matrix)
-
-    def defect(unknown: Array) -> Array:
-        start = unknown[:-1]
-        end = solve_ivp(
-            lambda _, x: np.concatenate([x[sites:], -matrix @ x[:sites] - g * S * x[:sites] ** 3]),
-            (0.0, unknown[-1]), np.concatenate([start, np.zeros(sites)]), method="DOP853", rtol=1e-13, atol=1e-15,
-        ).y[:sites, -1]  # fmt: skip
-        return np.append(end, start @ start - 1)
-
-    guess = np.append(vectors[:, chosen], np.pi / 2 / np.sqrt(values[chosen]))
-    solution, _, status, message = fsolve(defect, guess, xtol=1e-13, full_output=True)
-    assert status == 1, message
-    return np.pi / 2 / solution[-1], solution[:-1]
-
-
-@pytest.mark.parametrize(("g", "mode"), [(1.0, 3), (-1.0, 1)])
-def test_small_orbits_found_by_shooting_have_the_predicted_slope_and_profile(g: float, mode: int) -> None:
-    S, chain = 2e-3, (3, 1.0, 0.25)
-    found = [shoot(paper_matrix(*chain), g, mode, factor * S) for factor in (1, 2)]
-    Omega, omega = np.array([frequency for frequency, _ in found]), float(mp.sqrt(exact_square(*chain, mode)))
-    # The two difference quotients extrapolated to S = 0, which leaves an error of order S^2.
-    measured = 2 * (Omega[0] - omega) / S - (Omega[1] - omega) / (2 * S)
-    assert closed_forms.frequency_slope(*chain, g, mode) == pytest.approx(measured, rel=2e-7)
-    # The prediction misses by order S^2 in frequency and by order S in relative profile: doubling S tells.
-    miss = Omega - (omega + closed_forms.frequency_slope(*chain, g, mode) * np.array([S, 2 * S]))
-    assert miss[1] / miss[0] == pytest.approx(4.0, rel=2e-3)
-    mode_shape = closed_forms.right_eigenvector(3, 0.25, mode)
-    profile = mode_shape / np.linalg.norm(mode_shape)
-    deviation = [np.linalg.norm(start * np.sign(start @ profile) - profile) for _, start in found]
-    assert deviation[1] / deviation[0] == pytest.approx(2.0, rel=2e-3)
-
-
 @pytest.mark.parametrize(("g", "mode", "period"), [(1.0, 24, 2.83), (-1.0, 1, 6.06)])
 def test_periods_at_small_amplitude_are_those_that_the_paper_states(g: float, mode: int, period: float) -> None:
     slope = closed_forms.frequency_slope(24, 1.0, 0.25, g, mode)
     found = 2 * np.pi / (float(mp.sqrt(exact_square(24, 1.0, 0.25, mode))) + 0.2 * slope)
     assert float(found) == pytest.approx(period, abs=0.006)
-
-
-@pytest.mark.parametrize(("gamma", "limit"), [(0.25, 320.2), (0.4, 106.2), (0.55, 44.1), (0.7, 19.4)])
-def test_sensitivity_falls_as_the_inverse_cube_of_the_size_in_the_end(gamma: float, limit: float) -> None:
-    """Near the favoured edge sin(m pi/(N+1)) ~ m pi/(N+1); sums of m^4 r^-m and m^2 r^-m are rational in r."""
-    closed_form = sensitivity_limit(1.0, gamma, 1.0, 1)
-    omega_min_squared = 3 - 2 * np.sqrt(1 - gamma**2)
-    assert closed_form == pytest.approx(3 * np.pi**2 * (3 - 2 * gamma**2) / (4 * gamma**2 * omega_min_squared))
-    assert closed_form == pytest.approx(limit, abs=0.06)  # measured independently
-    sites = np.array([1000, 2000, 4000])
-    sizes = np.array([sensitivity(n, 1.0, gamma, 1.0, 1) for n in sites])
-    deviation = (sites + 1) ** 3 * sizes / closed_form - 1
-    # Corrections are even in 1/(N+1).
-    np.testing.assert_allclose(deviation[:-1] / deviation[1:], ((sites[1:] + 1) / (sites[:-1] + 1)) ** 2, rtol=1e-2)
-    assert abs(deviation[2]) < 5e-5

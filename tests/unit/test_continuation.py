@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from marks import slow
 
-from casadi_skin import Branch, Chain, Orbit, SymmetryClass, follow_family
+from casadi_skin import Branch, Chain, Orbit, follow_family
 from casadi_skin.follow.arclength import ArclengthContinuation
 from casadi_skin.follow.family import Family
 from casadi_skin.follow.point import LocalCurve, PointSolver, predictor
@@ -315,20 +315,6 @@ def test_the_estimated_error_covers_the_true_one(
         largest_gauge = np.abs(exact.evaluate(t * exact.period) / chain.rho).max()
         assert np.abs(gauge).max() <= 1.1 * (orbit.profile_error + exact.profile_error + 1e-13) * largest_gauge
         assert np.abs(difference).max() <= tolerance * largest
-
-
-@pytest.mark.parametrize("tolerance", [1e-4, slow(1e-8)])
-@pytest.mark.parametrize("kind", [SymmetryClass.QUARTER, SymmetryClass.HALF, SymmetryClass.FULL])
-def test_the_estimated_error_of_gauss_collocation_covers_the_true_one(kind: SymmetryClass, tolerance: float) -> None:
-    chain, at = Chain(4, 1.0, 0.4, -1.0), (0.3, 1.0, 1.5)
-    reference = followed(chain, 1, 1.5, 1e-12, at)
-    branch = follow_family(
-        chain, 1, 1.5, at=at, tolerance=tolerance, transcription="gauss", corrector="newton", symmetry=kind
-    )
-    for S in at:
-        orbit, exact = branch.at(S), reference.at(S)
-        assert abs(orbit.Omega - exact.Omega) <= orbit.Omega_error + exact.Omega_error + 2 * ROUND_OFF
-        assert orbit.Omega_error <= tolerance * orbit.Omega
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, *(slow(t) for t in (1e-6, 1e-8))])

@@ -11,7 +11,6 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.solve.bordered import BorderedSolver
 from casadi_skin.solve.newton import NewtonCorrector
-from casadi_skin.zero.butcher import gauss_table, radau_table
 from casadi_skin.zero.discretisation import missed
 
 t, x, y, p = (ca.SX.sym(name) for name in ("t", "x", "y", "p"))
@@ -69,23 +68,6 @@ def test_the_estimate_is_the_true_error(state, transcription: str, degree: int) 
     assert found.error > 1.9 * true
     states = (found.point.z - step)[: found.problem.states].reshape(found.states.shape)
     assert np.max(np.abs(states - EXACT[state](found.t))) < 0.6 * np.max(np.abs(found.states - EXACT[state](found.t)))
-
-
-@pytest.mark.parametrize("table", [gauss_table(1), gauss_table(6), radau_table(1), radau_table(5), gauss_table(12)])
-def test_weights_are_exact_for_polynomials(table) -> None:  # type: ignore[no-untyped-def]
-    """A defect that is the stages' polynomial times another one is integrated as numpy integrates it."""
-    weights, d = table.defect, table.degree
-    points = np.concatenate([[0.0], weights.inner, [1.0]])[: weights.slopes.shape[0]]
-    defect = np.poly1d(np.poly(table.nodes)) * np.poly1d(np.arange(1.0, points.size + 1))
-    whole = defect.integ()
-    np.testing.assert_allclose(weights.increments @ defect(points), whole(table.ends) - whole(0.0), atol=1e-9)
-    polynomial = np.poly1d(np.arange(1.0, d + 2))
-    support = np.append(0.0, table.nodes)
-    np.testing.assert_allclose(weights.slopes @ polynomial(support), polynomial.deriv()(points), rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(weights.values @ polynomial(support), polynomial(weights.inner), rtol=1e-9)
-    at_stages, at_points = weights.quadrature
-    total = at_stages @ polynomial(table.nodes) + at_points @ polynomial(points)
-    assert np.isclose(total, polynomial.integ()(1.0), rtol=1e-9)
 
 
 def test_factors_of_another_jacobian_are_not_trusted() -> None:

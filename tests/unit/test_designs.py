@@ -23,11 +23,10 @@ from casadi_skin import (
     pareto_front,
     search_orbit,
 )
-from casadi_skin.lattice.closed_forms import duffing_frequency
 from casadi_skin.search.design import Design
 from casadi_skin.search.design_problem import DesignProblem
 from casadi_skin.search.designs import quantities_of
-from casadi_skin.search.families import FamilyExpressions, FamilyOrbit, FamilyStart
+from casadi_skin.search.families import FamilyOrbit, FamilyStart
 from casadi_skin.solve.processes import SearchProgress
 
 SHORT = Chain(sites=6, alpha=1.0, gamma=0.3, g=1.0)
@@ -85,18 +84,6 @@ def test_one_stiffness_a_site_moves_each_site_alone() -> None:
 
 
 # Designs of families --------------------------------------------------------------------------------------------------
-
-
-def test_one_site_is_duffing() -> None:
-    """S at which the frequency is 2: the closed form of Duffing's oscillator."""
-    orbit = member(Chain(1, 1.0, 0.0, 1.0))
-    result = optimise("S", orbit, over=["S"], bounds={"S": (0.1, 5), "Omega": (2, 3)})
-    assert result.found
-    assert result.active == ("Omega >= 2",)
-    assert abs(duffing_frequency(3.0, 1.0, amplitude=float(np.sqrt(result.value))) - 2.0) < 1e-9
-    h = 1e-4
-    slope = (duffing_frequency(3.0, 1.0, float(np.sqrt(result.value + h))) - 2.0) / h
-    assert result.multipliers["Omega >= 2"] == pytest.approx(1 / slope, rel=1e-3)
 
 
 def frequency(S: float, w: float = 1.0) -> float:
@@ -209,46 +196,6 @@ def test_a_design_on_its_bounds_is_a_member_of_the_family() -> None:
     assert result.multipliers["gamma <= 0.6"] == pytest.approx((moved - result.value) / 0.001, rel=1e-2)
 
 
-def test_an_uneven_chain_meets_its_target() -> None:
-    """The curve of a uniform chain with alpha = 0.9 and 1.001 of it at the larger S: met within the bounds."""
-    plain = follow_family(Chain(6, 0.9, 0.3, 1.0), "last", 0.8, at=[0.3, 0.8])
-    target = [plain.at(S=0.3).Omega, plain.at(S=0.8).Omega * 1.001]
-
-    def off_target(*orbits: FamilyExpressions) -> ca.SX:
-        return ca.vertcat(*(orbit.Omega - value for orbit, value in zip(orbits, target, strict=True)))
-
-    own = follow_family(SHORT, "last", 0.8, at=[0.3, 0.8])
-    result = optimise(
-        "a.roughness", [own.at(S=0.3), own.at(S=0.8)], over=["alpha_n"], bounds={"alpha_n": (0.5, 1.5)},
-        subject_to=[off_target],
-    )  # fmt: skip
-    np.testing.assert_allclose([orbit.Omega for orbit in result.located], target, rtol=0, atol=1e-9)
-    assert 0 < result.value < 0.1
-    assert result["alpha_n"].tolist() == list(result.parameters.values())
-    for orbit in result.located:  # the equations of motion in physical coordinates, at instants that are no nodes
-        odd, theta = 2 * np.arange(orbit.harmonics) + 1, np.array([0.1, 0.7, 1.3])
-        y = np.cos(np.outer(theta, odd)) @ orbit.cosines
-        acceleration = -(np.cos(np.outer(theta, odd)) * (odd * orbit.Omega) ** 2) @ orbit.cosines
-        padded = np.pad(y, ((0, 0), (1, 1)))
-        force = 1.3 * padded[:, :-2] + 0.7 * padded[:, 2:] - (2 + result["alpha_n"]) * y - y**3
-        assert np.max(np.abs(acceleration - force)) < 1e-6
-
-
-def test_a_pareto_front_is_that_of_plain_families() -> None:
-    def plain(gamma: float) -> tuple[float, float]:
-        profile = member(Chain(6, 1.0, gamma, 1.0)).profile
-        return 1 / float(np.sum(profile**4)), 5 * np.arctanh(gamma)
-
-    names = "participation", "log_amplification"
-    front = pareto_front(*names, member(), points=4, over=["gamma"], bounds={"gamma": (0.1, 0.6)})
-    assert front.complete
-    assert np.all(np.diff(front.values[:, 1]) > 0)
-    assert np.all(np.diff(front.values[:, 0]) < 0)
-    np.testing.assert_allclose(front.values, [plain(design["gamma"]) for design in front.points], rtol=0, atol=1e-6)
-    others = np.array([plain(gamma) for gamma in np.linspace(0.1, 0.6, 11)])
-    assert not np.any(np.all(others[:, None] < front.values - 1e-6, axis=2))
-
-
 def test_a_front_with_a_concave_part_is_found_where_weights_find_its_ends_alone() -> None:
     """Of the state (a, 1 - 3 a^2 + 2 a^3) the front over a from 0 to 1 is concave below a = 1/2."""
     x, y, a = (ca.SX.sym(name) for name in "xya")
@@ -286,16 +233,6 @@ def hopf() -> Any:
 def hopf_of(sigma: float, beta: float) -> float:
     """r of Lorenz's Hopf point."""
     return sigma * (sigma + beta + 3) / (sigma - beta - 1)
-
-
-def test_the_hopf_point_at_the_least_r_is_that_of_its_closed_form(hopf: Any) -> None:
-    result = optimise("r", hopf, over=["sigma"], bounds={"sigma": (5, 40)})
-    b = 8 / 3
-    sigma = b + 1 + np.sqrt((b + 1) * (2 * b + 4))  # where the derivative of r_H by sigma vanishes
-    assert result["sigma"] == pytest.approx(sigma, abs=1e-6)
-    assert abs(result.value - hopf_of(sigma, b)) <= max(result.error, 1e-12)
-    assert (result.solution.kind, result.solution.parameters["sigma"]) == ("hopf", result["sigma"])
-    assert result.engine.startswith("SLSQP")
 
 
 def test_the_least_change_that_keeps_a_hopf_point_beyond_a_value(hopf: Any) -> None:

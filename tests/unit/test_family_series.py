@@ -20,7 +20,6 @@ from casadi_skin.follow.family_series import FamilySeries, nearest_singularity
 from casadi_skin.lattice.closed_forms import duffing_displacement
 from casadi_skin.model.arguments import with_error
 from casadi_skin.zero.amplitude_series import SmallDivisorError
-from casadi_skin.zero.cosines import PolynomialForm, TaylorRecursion, TrigonometricProblem
 
 EPS = np.finfo(float).eps
 x, v = ca.SX.sym("x"), ca.SX.sym("v")
@@ -222,34 +221,7 @@ def test_mirrors_and_scales() -> None:
     np.testing.assert_allclose(slow.Omega, 2.0 * series_of(Chain(1, -1.0, 0.0, 1.0), 1, 60).Omega[:9], rtol=1e-13)
 
 
-def test_the_continuation_has_the_same_series_at_the_linear_mode() -> None:
-    """The recursion on values at nodes, closed by the parameter, is that of walks along families."""
-    branch = follow_family(Chain(4, 1.0, 0.25, -1.0), 1, 0.2, max_points=1)
-    coordinates, found = branch.space.coordinates, branch.series(6)
-    problem = TrigonometricProblem(coordinates.scaled, 8)
-    z = problem.pack(coordinates.mode, coordinates.frequency, 0.0)
-    solve = branch.space.point_solver.levels.solver(problem).factor(
-        z, problem.evaluate(z)[1], problem.parameter_row()
-    )  # fmt: skip
-    slope = solve(np.append(np.zeros(problem.size - 1), 1.0))
-    walked = TaylorRecursion(problem, PolynomialForm.of(coordinates.scaled), 6).series(z, slope, solve)
-    Omega = walked[:, problem.Omega_index] * (-1.0) ** np.arange(7)  # in S = -kappa
-    np.testing.assert_allclose(Omega, found.Omega, atol=1e-13)
-    shapes = np.array([problem.coefficients(one) for one in walked]) * (-1.0) ** np.arange(7)[:, None, None]
-    profile = coordinates.scale * shapes.swapaxes(1, 2)[:, :7]
-    np.testing.assert_allclose(profile, found.profile, atol=1e-12)
-
-
 # Other models, and followed families ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("mode", [1, 3])
-def test_the_slope_of_fput_is_that_of_its_bonds(mode: int) -> None:
-    """Of cubic bonds with extensions d_n of a mode u, Omega grows by 3 sum d^4 / (8 omega (sum u^2)^2) S."""
-    u = np.concatenate([[0.0], np.sin(np.arange(1, 9) * mode * np.pi / 9), [0.0]])
-    omega, d = 2.0 * np.sin(mode * np.pi / 18), np.diff(u)
-    expected = 3.0 * np.sum(d**4) / (8.0 * omega * np.sum(u**2) ** 2)
-    assert series_of(fput(8), mode, 3).Omega[1] == pytest.approx(expected, rel=1e-12)
 
 
 def henon_heiles() -> OdeModel:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -31,7 +30,7 @@ from casadi_skin.stability.flows import (
 )
 from casadi_skin.stability.multipliers import eigenvalue_errors, floquet
 from casadi_skin.stability.reduction import Eigensystems, half_cosines
-from casadi_skin.stability.result import Floquet, reversible_floquet
+from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.family import family_request
 from casadi_skin.zero.settings import End, Point
 
@@ -154,16 +153,6 @@ def test_the_splitting_is_of_order_six(chain: Chain, mode: int, S: float) -> Non
     assert np.log2(errors[0] / errors[1]) == pytest.approx(6, abs=0.4)
 
 
-@pytest.mark.parametrize("steps", [4, 48])
-@pytest.mark.parametrize(
-    ("chain", "mode", "S"), [*ORBITS, (Chain(1, 1.0, 0.0, 1.0), 1, 5.0), (Chain(24, 1.0, 0.25, -1.0), 1, 3.0)]
-)
-def test_maps_are_symplectic_at_every_number_of_steps(chain: Chain, mode: int, S: float, steps: int) -> None:
-    n, Phi = chain.sites, matrix_in(followed(chain, mode, S).at(S), steps)
-    J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
-    np.testing.assert_allclose(Phi.T @ J @ Phi, J, rtol=0, atol=min(5e-13, 1e-13 * max(2.0, np.abs(Phi).max() ** 2)))
-
-
 # Errors of flows ----------------------------------------------------------------------------------------------------
 
 
@@ -182,23 +171,6 @@ def test_flows_are_within_their_estimates_of_an_independent_integration(
 
 
 # Batches and steps ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", [SplittingFlow, CvodesFlow])
-def test_a_batch_is_its_members(kind: type[FlowMap]) -> None:
-    branch = followed(Chain(5, 1.0, 0.3, -1.0), 1, 2.5)
-    states = [state(branch.orbits[k]) for k in (0, len(branch) // 2, -1)]
-    states[1] = replace(states[1], better=states[0])
-    together = kind(branch.space.coordinates.scaled, 1e-7).transitions(states)
-    for one, transition in zip(states, together, strict=True):
-        alone = kind(branch.space.coordinates.scaled, 1e-7).transition(one.problem, one.z)
-        np.testing.assert_allclose(transition.matrix, alone.matrix, rtol=0, atol=alone.error + transition.error)
-    assert together[0].pair is None
-    assert together[1].pair is not None
-    along, better = together[1].pair
-    np.testing.assert_allclose(better, together[0].matrix, rtol=0, atol=1e-2)
-    np.testing.assert_allclose(along, together[1].matrix, rtol=0, atol=1e-2)
-    assert np.abs(along - better).max() > 0.05
 
 
 def test_a_flow_gives_up_by_name_where_its_steps_do_not_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,24 +261,6 @@ def test_eigenvalues_that_nearly_meet_move_no_farther_than_their_errors(gap: flo
         assert bounds.min() <= 100 * moved.max()
 
 
-@pytest.mark.parametrize("power", [1, 2])
-def test_the_error_of_the_multipliers_follows_from_that_of_mu(power: int) -> None:
-    def largest(mu: float) -> float:
-        """lambda + 1/lambda = 2 + 4 mu, solved for the larger root."""
-        half = 1 + 2 * mu
-        return float((half + np.sqrt(half**2 - 1)) ** power)
-
-    for mu, error in ((0.2, 1e-6), (1e-8, 4e-9)):
-        result = reversible_floquet(np.array([-0.3, mu], complex), np.array([1e-7, error]), 0.0, power)
-        expected = max(largest(mu + error) - largest(mu), largest(mu) - largest(mu - error))
-        assert result.error == pytest.approx(expected, rel=1e-6)
-    stable = reversible_floquet(np.array([-0.3, -0.9], complex), np.array([1e-7, 1e-9]), 0.0, power)
-    assert stable.error == 1e-7
-    pair = reversible_floquet(np.array([-0.5 + 0.1j, -0.5 - 0.1j]), np.full(2, 1e-6), 0.0, power)
-    assert 1e-6 < pair.error < 1e-4
-    assert reversible_floquet(np.zeros(0, complex), np.zeros(0), 0.0, power).error == 0.0
-
-
 def exact_floquet(orbit: Orbit) -> Floquet:
     """The same orbit at twice its resolution, corrected to round-off, with a flow of many steps."""
     space, problem = orbit.space, orbit.point.problem
@@ -346,17 +300,6 @@ def test_the_errors_of_the_multipliers_are_honest(number: int, seed: int) -> Non
     assert np.count_nonzero(true <= estimated) >= 0.95 * true.size - 0.5
     assert np.all(true <= 10 * estimated)
     assert np.median(estimated / true) < 30
-
-
-def test_without_a_better_orbit_the_points_own_errors_count() -> None:
-    """At a tolerance of 1e-3 the orbit's error is by far the larger part."""
-    orbit = followed(Chain(6, 1.0, -0.3, 1.0), 6, 4.0, 1e-3).orbits[-1]
-    bare = Orbit(orbit.space, replace(orbit.point, better=None))
-    true = np.max(np.abs(bare.floquet().mu - exact_floquet(orbit).mu))
-    assert true > 1e-9
-    assert true <= bare.multiplier_error <= 1e3 * true
-    np.testing.assert_array_equal(bare.floquet().mu, orbit.floquet().mu)
-    assert orbit.multiplier_error <= 10 * true
 
 
 def test_a_looser_tolerance_claims_no_instability_that_a_tight_one_denies() -> None:

@@ -122,16 +122,6 @@ def test_tables_refuse_what_is_not_finite(tmp_path: Path) -> None:
     assert not (tmp_path / "family.csv").exists()
 
 
-@pytest.mark.parametrize("corrector", ["newton", slow("ipopt")])
-def test_only_the_product_of_g_and_S_matters(corrector: str) -> None:
-    for sites, gamma, mode in ((24, 0.25, 1), (6, 0.7, 3)):
-        found = [
-            follow_family(Chain(sites, 1.0, gamma, -g), mode, 1.0 / g, corrector=corrector).orbits[-1].Omega
-            for g in (1e-8, 1.0, 1e8)
-        ]
-        np.testing.assert_allclose(found, found[0], rtol=1e-12)
-
-
 @pytest.mark.parametrize("alpha", [1e6, *(slow(soft) for soft in (0.0, 1e-8))])
 def test_soft_and_stiff_sites(alpha: float) -> None:
     for mode in (1, 24):

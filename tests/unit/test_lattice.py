@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import pickle
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -21,16 +19,6 @@ def accelerations(model: OdeModel, y: Any, parameters: Any = ()) -> Any:
     """The accelerations at positions, by the model's nominal parameters unless others are given."""
     rhs = ca.Function("f", [model.state, model.parameters], [model.rhs])
     return np.array(rhs(y, parameters or model.nominal)).ravel()
-
-
-def by_hand(name: str) -> OdeModel:
-    """A model of examples/models/lattices.py."""
-    file = Path(__file__).parents[2] / "examples" / "models" / "lattices.py"
-    specification = importlib.util.spec_from_file_location("hand", file)
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    model: OdeModel = getattr(module, name)()
-    return model
 
 
 # The same numbers -----------------------------------------------------------------------------------------------------
@@ -82,26 +70,6 @@ def test_what_is_not_the_chain_is_not_taken_for_it(
 ) -> None:
     lattice = Lattice(4, [Site("a", onsite, mass)], [Bond("a", "a", (1,), force, gain)], boundary, {"gamma": 0.2})
     assert declared_chain(lattice.declaration, lattice.equations.reversible, {"gamma": 0.2}) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "mode", "S", "lattice"),
-    [
-        ("fput", "last", 1.0, fput(24, "fixed")),
-        (
-            "pendula",
-            "first",
-            10.0,
-            Lattice(16, [Site("a", "sin(y)")], [Bond("a", "a", (1,), "k*d")], "fixed", {"k": 0.2}),
-        ),
-    ],
-)
-def test_models_by_hand_have_the_numbers_of_lattices(name: str, mode: str, S: float, lattice: Lattice) -> None:
-    options = {"mode": mode, "amplitude_max": S, "at": (S,), "stability": True, "events": False, "tolerance": 1e-9}
-    a, b = (follow_family(model, **options).at(S=S) for model in (by_hand(name), lattice))
-    assert b.Omega == pytest.approx(a.Omega, rel=1e-14)
-    assert b.energy == pytest.approx(a.energy, rel=1e-13)
-    assert max(abs(b.floquet().multipliers)) == pytest.approx(max(abs(a.floquet().multipliers)), abs=1e-9)
 
 
 @pytest.mark.parametrize(("sites", "energy"), [(8, 0.5320603626), slow(32, 0.1043149731)])

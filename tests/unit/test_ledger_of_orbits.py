@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from cycles_in_closed_form import Block, Truth, random_truth
-from test_multiplier_errors import planar_orbit, three_bodies
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from casadi_skin import Branch, Chain, OdeModel, find_orbit, follow_family, simulate
 
@@ -106,6 +107,47 @@ def test_a_pair_of_fold_torus_points_within_a_step_is_found_on_a_curve_of_cycles
     for point, place in zip(curve.special_points, (1.03 - 0.5 * width, 1.03 + 0.5 * width), strict=True):
         assert abs(point.parameters["a"] - place) <= max(3.0 * point.error, 1e-12) < 1e-9
     assert curve.unresolved == ()
+
+
+MOON = 0.01215058560962404
+
+
+def three_bodies() -> tuple[OdeModel, ca.SX]:
+    """The circular restricted three-body problem in space, and the distance of phase zero from x0."""
+    x, y, z, u, v, w, x0 = (ca.SX.sym(name) for name in ("x", "y", "z", "u", "v", "w", "x0"))
+    r1, r2 = (ca.sqrt((x + a) ** 2 + y**2 + z**2) for a in (MOON, MOON - 1))
+    effective = (x**2 + y**2) / 2 + (1 - MOON) / r1 + MOON / r2
+    slope = ca.gradient(effective, ca.vertcat(x, y, z))
+    rhs = ca.vertcat(u, v, w, 2 * v + slope[0], -2 * u + slope[1], slope[2])
+    energy = (u**2 + v**2 + w**2) / 2 - effective
+    state = ca.vertcat(x, y, z, u, v, w)
+    return OdeModel("three bodies", state, rhs, x0, hamiltonian=energy, reversal=(1, -1, 1, -1, 1, -1)), x - x0
+
+
+def planar_orbit(x0: float, speeds: tuple[float, float]) -> tuple[float, object, np.ndarray]:
+    """Period and states of the Lyapunov orbit through (x0, 0), and the monodromy matrix of z'' = -U z along it."""
+
+    def rates(_: float, s: np.ndarray) -> list[float]:
+        x, y, u, v, *vertical = s
+        r1, r2 = ((x + MOON) ** 2 + y * y) ** 1.5, ((x - 1 + MOON) ** 2 + y * y) ** 1.5
+        pull = (1 - MOON) / r1 + MOON / r2
+        ax = 2 * v + x - (1 - MOON) * (x + MOON) / r1 - MOON * (x - 1 + MOON) / r2
+        across = [rate for a, b in (vertical[:2], vertical[2:]) for rate in (b, -pull * a)]
+        return [u, v, ax, -2 * u + y - pull * y, *across]
+
+    def half(speed: float) -> object:
+        def crossing(_: float, s: np.ndarray) -> float:
+            return float(s[1])
+
+        crossing.terminal, crossing.direction = True, -1.0  # type: ignore[attr-defined]
+        start = [x0, 1e-300, 0.0, speed, 1.0, 0.0, 0.0, 1.0]
+        return solve_ivp(rates, (0.0, 5.0), start, "DOP853", events=crossing, rtol=1e-12, atol=1e-13)
+
+    speed = brentq(lambda s: half(s).y[2, -1], *speeds, xtol=1e-14)  # type: ignore[attr-defined]
+    period = 2.0 * half(speed).t[-1]  # type: ignore[attr-defined]
+    start = [x0, 0.0, 0.0, speed, 1.0, 0.0, 0.0, 1.0]
+    known = solve_ivp(rates, (0.0, period), start, "DOP853", rtol=1e-12, atol=1e-13, dense_output=True)
+    return period, known.sol, known.y[4:, -1].reshape(2, 2).T
 
 
 @pytest.mark.parametrize("symmetric", [False, True])

@@ -174,19 +174,6 @@ def pendulum() -> OdeModel:
     return second_order("pendulum", q, -ca.sin(q), velocity=v, hamiltonian=v**2 / 2 + 1 - ca.cos(q))
 
 
-@pytest.mark.parametrize(("sites", "mode", "S"), [(3, 1, 0.01), (3, 3, 6.0), slow(5, 2, 2.0)])
-def test_pendulum_chains_by_integration(sites: int, mode: int, S: float) -> None:
-    branch = follow_family(pendulums(sites), mode, S, at=(S,), tolerance=1e-10, corrector="newton")
-    assert branch.complete
-    orbit, typed = branch.at(S), typed_lattice(0.0, True)
-    typed.check(orbit, vectors=True)
-    assert branch.space.coordinates.S_rate == 2.0  # followed in the amplitude
-    angle = mode * np.pi / (sites + 1)
-    omega, shape = np.sqrt(1 + 4 * np.sin(angle / 2) ** 2), np.sin(angle * np.arange(1, sites + 1))
-    exact, _ = harmonic_balance(typed, shape, omega, np.linspace(0.2 * S, S, 5), 12)
-    assert abs(orbit.Omega - exact) <= orbit.Omega_error + 1e-11
-
-
 def between_walls(name: str, potential: Callable[[ca.SX], ca.SX], odd: bool) -> OdeModel:
     """Three sites between walls with a potential of their four bonds."""
     q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from casadi_skin import Chain, OdeModel, Orbit, find_orbit, follow_family
 from casadi_skin.stability.result import Floquet, reversible_floquet
@@ -116,72 +114,6 @@ def test_the_pair_of_a_dimer_moves_through_1_where_the_symmetric_state_breaks(si
     assert floquet.trivial == 2
     assert orbit.stable == (sign < 0)
     assert_within_errors(floquet, np.exp([1j * angle, -1j * angle]), 1e-8)
-
-
-MOON = 0.01215058560962404
-
-
-def three_bodies() -> tuple[OdeModel, ca.SX]:
-    """The circular restricted three-body problem in space, and the distance of phase zero from x0."""
-    x, y, z, u, v, w, x0 = (ca.SX.sym(name) for name in ("x", "y", "z", "u", "v", "w", "x0"))
-    r1, r2 = (ca.sqrt((x + a) ** 2 + y**2 + z**2) for a in (MOON, MOON - 1))
-    effective = (x**2 + y**2) / 2 + (1 - MOON) / r1 + MOON / r2
-    slope = ca.gradient(effective, ca.vertcat(x, y, z))
-    rhs = ca.vertcat(u, v, w, 2 * v + slope[0], -2 * u + slope[1], slope[2])
-    energy = (u**2 + v**2 + w**2) / 2 - effective
-    state = ca.vertcat(x, y, z, u, v, w)
-    return OdeModel("three bodies", state, rhs, x0, hamiltonian=energy, reversal=(1, -1, 1, -1, 1, -1)), x - x0
-
-
-def planar_orbit(x0: float, speeds: tuple[float, float]) -> tuple[float, object, Array]:
-    """Period and states of the Lyapunov orbit through (x0, 0), and the monodromy matrix of z'' = -U z along it."""
-
-    def rates(_: float, s: Array) -> list[float]:
-        x, y, u, v, *vertical = s
-        r1, r2 = ((x + MOON) ** 2 + y * y) ** 1.5, ((x - 1 + MOON) ** 2 + y * y) ** 1.5
-        pull = (1 - MOON) / r1 + MOON / r2
-        ax = 2 * v + x - (1 - MOON) * (x + MOON) / r1 - MOON * (x - 1 + MOON) / r2
-        across = [rate for a, b in (vertical[:2], vertical[2:]) for rate in (b, -pull * a)]
-        return [u, v, ax, -2 * u + y - pull * y, *across]
-
-    def half(speed: float) -> object:
-        def crossing(_: float, s: Array) -> float:
-            return float(s[1])
-
-        crossing.terminal, crossing.direction = True, -1.0  # type: ignore[attr-defined]
-        start = [x0, 1e-300, 0.0, speed, 1.0, 0.0, 0.0, 1.0]
-        return solve_ivp(rates, (0.0, 5.0), start, "DOP853", events=crossing, rtol=1e-12, atol=1e-13)
-
-    speed = brentq(lambda s: half(s).y[2, -1], *speeds, xtol=1e-14)  # type: ignore[attr-defined]
-    period = 2.0 * half(speed).t[-1]  # type: ignore[attr-defined]
-    start = [x0, 0.0, 0.0, speed, 1.0, 0.0, 0.0, 1.0]
-    known = solve_ivp(rates, (0.0, period), start, "DOP853", rtol=1e-12, atol=1e-13, dense_output=True)
-    return period, known.sol, known.y[4:, -1].reshape(2, 2).T
-
-
-@pytest.mark.parametrize(("x0", "speeds"), [(1.1247, (0.15, 0.16)), (1.1205, (0.17, 0.18)), (1.1188, (0.175, 0.19))])
-def test_the_vertical_pair_of_lyapunov_orbits_passes_through_1_where_halo_orbits_leave(
-    x0: float, speeds: tuple[float, float]
-) -> None:
-    """L2 of the Earth and the Moon: the pair is on the circle before, real behind, beside a multiplier of 1,200."""
-    model, select = three_bodies()
-    period, states, vertical = planar_orbit(x0, speeds)
-
-    def guess(t: float) -> list[float]:
-        x, y, u, v = states(t)[:4]  # type: ignore[operator]
-        return [x, y, 0.0, u, v, 0.0]
-
-    orbit = find_orbit(model, guess, period, parameters={"x0": x0}, select=select, tolerance=1e-9)
-    floquet, known = orbit.floquet(), np.linalg.eigvals(vertical)
-    assert floquet.trivial == 2
-    assert floquet.trivial_deviation < 1e-8
-    passed = x0 < 1.12
-    assert (np.abs(known.imag).max() < 1e-3) == passed
-    assert (floquet.unstable_real, floquet.unstable_complex) == (1 + passed, 0)
-    for value in known:
-        nearest = int(np.argmin(np.abs(floquet.others - value)))
-        assert abs(floquet.others[nearest] - value) <= floquet.other_errors[nearest] + 1e-10
-        assert floquet.other_errors[nearest] < 1e-8
 
 
 def test_directions_that_are_the_same_along_a_circle_are_one() -> None:

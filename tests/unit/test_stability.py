@@ -17,7 +17,6 @@ from casadi_skin.solve.newton import NewtonCorrector
 from casadi_skin.stability.flows import SplittingFlow
 from casadi_skin.stability.multipliers import floquet
 from casadi_skin.stability.result import reversible_floquet
-from casadi_skin.zero.cosines import TrigonometricProblem
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -285,14 +284,6 @@ def test_without_stability_nothing_of_it_is_built_and_without_events_there_are_n
     without = follow_family(SOFT, 1, 0.6, corrector="newton", stability=True, events=False)
     assert without.changes == ()
     assert not without.stable.all()
-
-
-def test_trigonometric_and_gauss_orbits_have_the_same_stability() -> None:
-    chain, S = Chain(4, 1.0, 0.3, -1.0), 1.5
-    gauss = follow_family(chain, 1, S, tolerance=1e-9, transcription="gauss", corrector="newton").at(S)
-    cosines = followed(chain, 1, S, 1e-9).at(S)
-    assert isinstance(cosines.point.problem, TrigonometricProblem)
-    np.testing.assert_allclose(gauss.floquet().mu, cosines.floquet().mu, rtol=0, atol=1e-8)
 
 
 def test_the_digits_of_multipliers_do_not_depend_on_the_orbits_computed_with_them() -> None:

@@ -170,26 +170,6 @@ def test_a_cycle_that_passes_an_equilibrium_is_none_of_a_family(tolerance: float
     assert abs(orbit.floquet().multipliers[1]) <= 1e-6
 
 
-@pytest.mark.parametrize(
-    ("units", "time"), [([1e8, 1.0, 1e-8], 1.0), slow([1e-8, 1e8, 1.0], 1e-8), slow([1e-8, 1e8, 1e-8], 1e8)]
-)
-def test_lorenz_has_its_hopf_point_and_the_cycles_there_in_any_units(units: list[float], time: float) -> None:
-    """Hopf at r = 470/19 (Lorenz 1963); the period of the cycles that leave is that in units of 1."""
-
-    def cycles_of(D: np.ndarray, time: float) -> Branch:
-        (x, y, z), r = ca.vertsplit(ca.SX.sym("x", 3)), ca.SX.sym("r")
-        u, v, w = x / D[0], y / D[1], z / D[2]
-        rates = [time * D[0] * 10 * (v - u), time * D[1] * (r * u - v - u * w), time * D[2] * (u * v - 8 / 3 * w)]
-        model = OdeModel("lorenz", ca.vertcat(x, y, z), ca.vertcat(*rates), r)
-        (hopf,) = find_equilibrium(model, D * [8.0, 8.0, 23.0], parameters={"r": 24.0}).follow("r", 26.0).special_points
-        assert abs(hopf.parameters["r"] - 470 / 19) <= 1e-10
-        return hopf.follow("r", 20.0)
-
-    one, other = cycles_of(np.ones(3), 1.0), cycles_of(np.array(units), time)
-    assert len(one) == len(other)
-    np.testing.assert_allclose(time * other.at(r=22.0).period, one.at(r=22.0).period, rtol=1e-9)
-
-
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
 def test_cycles_come_to_their_homoclinic_orbit_in_any_unit(unit: float) -> None:
     """Bogdanov and Takens' equations; the value of m2 by shooting from the saddle's manifolds, of eighth order."""
