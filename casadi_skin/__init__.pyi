@@ -18,6 +18,8 @@ from .dynamics.starts import spreading as spreading
 from .export.c_code import export_c as export_c
 from .export.codegen import build_c as build_c
 from .fmu.archive import export_fmu as export_fmu
+from .fmu.co_simulation import import_co_simulation as import_co_simulation
+from .fmu.map_orbit import MapOrbit as MapOrbit
 from .fmu.model import import_fmu as import_fmu
 from .follow.branch import Branch as Branch
 from .follow.branch import harmonic_shares as harmonic_shares

@@ -113,3 +113,51 @@ def state_space(folder: Path) -> Path:
         archive.write(library, name)
         archive.writestr("documentation/index.html", "one")
     return folder / "arrays.fmu"
+
+
+SLAVE_NAMES = (
+    "time", "x", "y", "der(x)", "der(y)", "mu", "omega", "cubic", "noise", "size_x", "size_y", "substeps", "odd", "u",
+    "force", "drive",
+)  # fmt: skip
+SLAVE_ODDITIES = ("", "set late", "never set", "hidden", "fails", "reset in part", "lags")
+
+
+def slave(folder: Path, *, odd: str = "", structure: bool = True, clock: bool = True, **starts: float) -> Path:
+    """z' = (mu + i omega) z - cubic |z|^2 z + force(t) as an FMU for Co-Simulation alone, with a solver of fixed steps.
+
+    `structure` is whether its states are named in ModelStructure, `clock` whether the time is one of its variables.
+    """
+    known = dict.fromkeys(SLAVE_NAMES, 0.0)
+    known |= dict.fromkeys(("x", "mu", "omega", "cubic", "size_x", "size_y", "drive"), 1.0) | {"substeps": 8.0}
+    known |= {name: float(value) for name, value in starts.items()} | {"odd": float(SLAVE_ODDITIES.index(odd))}
+    sources = folder / "slave_sources"
+    sources.mkdir(exist_ok=True)
+    source = Path(__file__).parent / "unit" / "slave_fmu.c"
+    (sources / source.name).write_text(source.read_text())
+    (sources / "start.h").write_text(f"{{{', '.join(map(repr, known.values()))}}}\n")
+    library, path = build_library(sources, [source.name], sources / "library"), folder / "slave.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", slave_description(known, structure, clock))
+        archive.write(library, library_name("2.0", "slave"))
+    return path
+
+
+def slave_description(starts: Mapping[str, float], structure: bool, clock: bool) -> str:
+    """modelDescription.xml of `slave` with these start values."""
+    words = dict.fromkeys(SLAVE_NAMES, 'causality="parameter" variability="tunable"')
+    words |= dict.fromkeys(("x", "y"), 'causality="output" initial="exact"')
+    words |= dict.fromkeys(("der(x)", "der(y)"), 'causality="local" initial="calculated"')
+    words |= {"u": 'causality="input"', "time": f'causality="{"independent" if clock else "local"}"'}
+    numbers = {name: f'start="{start!r}"' for name, start in starts.items() if name != "time"}
+    numbers |= {"der(x)": 'derivative="2"', "der(y)": 'derivative="3"'}
+    variables = "".join(
+        f'<ScalarVariable name="{name}" valueReference="{k}" {words[name]}>'
+        f"<Real {numbers.get(name, '')}/></ScalarVariable>"
+        for k, name in enumerate(SLAVE_NAMES)
+    )
+    entries = '<Derivatives><Unknown index="4"/><Unknown index="5"/></Derivatives>' if structure else ""
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="2.0" modelName="slave" guid="slave">'
+        '<CoSimulation modelIdentifier="slave"/><DefaultExperiment stepSize="0.05"/>'
+        f"<ModelVariables>{variables}</ModelVariables><ModelStructure>{entries}</ModelStructure></fmiModelDescription>"
+    )

@@ -34,10 +34,12 @@ MOST_STATES = 2_000
 LARGEST_REFERENCE = (1 << 32) - 1  # of FMI's functions
 DEEPEST_XML = 100  # elements of XML within each other
 CHUNK_BYTES = 1 << 16  # bytes
+MODEL_EXCHANGE, CO_SIMULATION = "ModelExchange", "CoSimulation"  # kinds of FMUs in the standard
+INTERFACES = {MODEL_EXCHANGE: "modelExchange", CO_SIMULATION: "coSimulation"}  # in fmpy's descriptions
 PLATFORMS = ("linux", "darwin")  # where FMUs are compiled and run
 Array = NDArray[np.float64]
 Pattern = NDArray[np.bool_]
-_REAL_TYPES = ("Real", "Float64")
+REAL_TYPES = ("Real", "Float64")
 MOST_LISTED = 8  # names in a message
 
 
@@ -67,7 +69,7 @@ class FmuWarning(UserWarning):
 class Unpacked:
     """An FMU's folder, the library in it for this platform, and its modelDescription.xml as fmpy reads it.
 
-    `digest` is the SHA-256 of the file, `remove` removes the folder.
+    `digest` is the SHA-256 of the file, `remove` removes the folder, `kind` is that of the interface which is used.
     """
 
     path: Path
@@ -76,12 +78,13 @@ class Unpacked:
     description: Any
     remove: Callable[[], object]
     digest: str = ""
+    kind: str = MODEL_EXCHANGE
 
 
-def unpack(path: str | Path) -> Unpacked:
-    """Unpack an FMU for Model Exchange, without its sources, into a new temporary folder, which the caller removes.
+def unpack(path: str | Path, kind: str = MODEL_EXCHANGE) -> Unpacked:
+    """Unpack an FMU of a kind, without its sources, into a new temporary folder, which the caller removes.
 
-    Raises ValueError, in one line, for other files, for FMUs that are damaged or hostile, have no Model Exchange or no
+    Raises ValueError, in one line, for other files, for FMUs that are damaged or hostile, of another kind or without a
     binary for this platform, and where fmpy is missing; nothing is left behind then.
     """
     path = Path(path)
@@ -94,8 +97,8 @@ def unpack(path: str | Path) -> Unpacked:
         temporary = TemporaryFolder("casadi_skin_fmu_")
         try:
             archive.write(temporary.path, lambda name: name == DESCRIPTION_FILE)
-            description = read_description(path, temporary.path)
-            library = _library(path, description, archive.names)
+            description = read_description(path, temporary.path, kind)
+            library = _library(path, description, archive.names, kind)
             wanted = ("/".join([*PurePosixPath(library).parts[:2], ""]), "resources/")
             archive.write(temporary.path, lambda name: name.startswith(wanted))
             if archive.repeated:
@@ -106,11 +109,11 @@ def unpack(path: str | Path) -> Unpacked:
             raise
     finally:
         archive.close()
-    return Unpacked(path, temporary.path, temporary.path / library, description, temporary.remove, digest)
+    return Unpacked(path, temporary.path, temporary.path / library, description, temporary.remove, digest, kind)
 
 
-def read_description(path: Path, folder: Path) -> Any:
-    """The model description of an FMU of FMI 2.0 or 3.0 with Model Exchange, as fmpy reads it."""
+def read_description(path: Path, folder: Path, kind: str = MODEL_EXCHANGE) -> Any:
+    """The model description of an FMU of FMI 2.0 or 3.0 of a kind, as fmpy reads it."""
     fmpy = fmpy_package()
     try:
         _check_xml((folder / DESCRIPTION_FILE).read_bytes())
@@ -120,10 +123,12 @@ def read_description(path: Path, folder: Path) -> Any:
         raise ValueError(f"{path}: {DESCRIPTION_FILE} cannot be read: {reason or type(error).__name__}") from error
     if not str(description.fmiVersion).startswith(("2.", "3.")):
         raise ValueError(f"{path}: FMI {description.fmiVersion}; accepted: 2.0, 3.0")
-    if description.modelExchange is None:
+    if getattr(description, INTERFACES[kind]) is None:
+        if kind != MODEL_EXCHANGE:
+            raise ValueError(f"{path}: no Co-Simulation; accepted: one with it; import_fmu reads Model Exchange")
         tool = " ".join(str(description.generationTool or "its tool").split())[:80]
         why = "its solver is inside, and there is no right-hand side to ask for"
-        way = f"one with Model Exchange, as {tool} may export it; fmpy.simulate_fmu runs this one"
+        way = f"one with Model Exchange, as {tool} may export it; import_co_simulation finds orbits of this one"
         raise ValueError(f"{path}: no Model Exchange, Co-Simulation alone: {why}; accepted: {way}")
     return description
 
@@ -171,9 +176,9 @@ def _check_xml(text: bytes) -> None:
         parser.Parse(text[start : start + CHUNK_BYTES])
 
 
-def _library(path: Path, description: Any, names: tuple[str, ...]) -> str:
+def _library(path: Path, description: Any, names: tuple[str, ...], kind: str) -> str:
     """Name of the library for this platform in the archive."""
-    name = library_name(description.fmiVersion, description.modelExchange.modelIdentifier)
+    name = library_name(description.fmiVersion, getattr(description, INTERFACES[kind]).modelIdentifier)
     if name not in names:
         there = {PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/")}
         sources = "sources alone" if any(n.startswith("sources/") for n in names) else "neither binaries nor sources"
@@ -237,7 +242,7 @@ class Group:
         """The variables of some numbers, each once."""
         given = list(elements)
         variables = {int(element.variable.valueReference): element.variable for element in given}
-        whole = {reference: _elements(variable) for reference, variable in variables.items()}
+        whole = {reference: elements_of(variable) for reference, variable in variables.items()}
         first = dict(zip(whole, itertools.accumulate([0, *map(len, whole.values())]), strict=False))
         places = [first[int(e.variable.valueReference)] + e.place for e in given]
         starts = [element.start for entries in whole.values() for element in entries]
@@ -276,17 +281,17 @@ class Variables:
     @cached_property
     def states(self) -> tuple[Element, ...]:
         """Continuous states in the FMU's order."""
-        return tuple(e for u in self.description.derivatives for e in _elements(u.variable.derivative))
+        return tuple(e for u in self.description.derivatives for e in elements_of(u.variable.derivative))
 
     @cached_property
     def derivatives(self) -> tuple[Element, ...]:
         """Their derivatives."""
-        return tuple(e for u in self.description.derivatives for e in _elements(u.variable))
+        return tuple(e for u in self.description.derivatives for e in elements_of(u.variable))
 
     @cached_property
     def indicators(self) -> tuple[str, ...]:
         """Names of the event indicators; FMI 2.0 counts them from 1 alone."""
-        named = [e.name for u in self.description.eventIndicators or () for e in _elements(u.variable)]
+        named = [e.name for u in self.description.eventIndicators or () for e in elements_of(u.variable)]
         count = int(self.description.numberOfEventIndicators or 0)
         return tuple(named or (str(k) for k in range(1, count + 1)))
 
@@ -294,19 +299,19 @@ class Variables:
     def outputs(self) -> tuple[Element, ...]:
         """Real outputs that are neither states nor given."""
         taken = {element.name for element in (*self.states, *self.given)}
-        variables = [u.variable for u in self.description.outputs if u.variable.type in _REAL_TYPES]
-        return tuple(e for variable in variables for e in _elements(variable) if e.name not in taken)
+        variables = [u.variable for u in self.description.outputs if u.variable.type in REAL_TYPES]
+        return tuple(e for variable in variables for e in elements_of(variable) if e.name not in taken)
 
     @cached_property
     def given(self) -> tuple[Element, ...]:
         """Variables that get values: parameters of the model, then inputs that have a value or a signal."""
-        variables = [v for v in self.description.modelVariables if v.type in _REAL_TYPES]
+        variables = [v for v in self.description.modelVariables if v.type in REAL_TYPES]
         found: list[Element] = []
         for label, names, kinds in (
             ("parameters", self.choices.parameters, ("parameter", "input")),
             ("inputs", self.choices.inputs, ("input",)),
         ):
-            found += _chosen(label, names, [v for v in variables if v.causality in kinds])
+            found += chosen(label, names, [v for v in variables if v.causality in kinds])
         for name in self.choices.inputs:
             if name in self.choices.parameters:
                 raise ValueError(f"inputs: given {name!r}, which is among parameters; accepted: one of them")
@@ -334,7 +339,7 @@ class Variables:
         return pattern
 
 
-def _elements(variable: Any) -> list[Element]:
+def elements_of(variable: Any) -> list[Element]:
     """The numbers of one variable; a start value that is missing is 0."""
     shape = tuple(variable.shape or ())
     starts = [float(word) for word in str(variable.start or "").split()]
@@ -352,9 +357,9 @@ def _elements(variable: Any) -> list[Element]:
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 
-def _chosen(label: str, names: Sequence[str], variables: Sequence[Any]) -> list[Element]:
+def chosen(label: str, names: Sequence[str], variables: Sequence[Any]) -> list[Element]:
     """The numbers of these names; raises ValueError for one that is not there, with the nearest."""
-    known: Mapping[str, Element] = {e.name: e for v in variables for e in _elements(v)}
+    known: Mapping[str, Element] = {e.name: e for v in variables for e in elements_of(v)}
     arrays = {v.name for v in variables if v.shape}
     for name in names:
         if name in arrays:
@@ -375,8 +380,8 @@ def _check_description(path: Path, description: Any) -> None:
     if not description.derivatives:
         raise ValueError(f"{path}: no continuous states; accepted: a model with some")
     for variable in description.modelVariables:
-        _check_numbers(path, variable)
-    entries = sum(math.prod(v.shape or ()) for v in description.modelVariables if v.type in _REAL_TYPES)
+        check_numbers(path, variable)
+    entries = sum(math.prod(v.shape or ()) for v in description.modelVariables if v.type in REAL_TYPES)
     if entries > MOST_VARIABLES:
         raise ValueError(f"{path}: {entries} real numbers; accepted: up to {MOST_VARIABLES}")
     states = sum(math.prod(entry.variable.derivative.shape or ()) for entry in description.derivatives)
@@ -387,9 +392,9 @@ def _check_description(path: Path, description: Any) -> None:
             raise ValueError(f"{path}: {entry.variable.name} and its state have other sizes; accepted: the same")
 
 
-def _check_numbers(path: Path, variable: Any) -> None:
+def check_numbers(path: Path, variable: Any) -> None:
     """Raises ValueError where the start or the nominal value of a real variable is no number, or it has too many."""
-    if variable.type not in _REAL_TYPES:
+    if variable.type not in REAL_TYPES:
         return
     count = math.prod(variable.shape or ())
     if not 0 <= count <= MOST_VARIABLES:

@@ -56,7 +56,7 @@ def instantiated(unpacked: Unpacked, complaints: deque[str]) -> Any:
     folder, library, here = str(unpacked.folder), str(unpacked.library), Path.cwd()
     make = fmpy_package().instantiate_fmu
     try:
-        return make(folder, unpacked.description, "ModelExchange", logger=keep, library_path=library)
+        return make(folder, unpacked.description, unpacked.kind, logger=keep, library_path=library)
     except Exception as error:  # fmpy raises whatever the loader meets, and a bare one where there is no instance
         loaded = str(error).startswith("Failed to instantiate")
         what = "it cannot be instantiated" if loaded else "its binary cannot be loaded"

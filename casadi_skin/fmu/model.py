@@ -246,19 +246,26 @@ def _check_autonomous(instance: FmuInstance, inputs: list[float]) -> None:
 # An FMU's binary in a process of its own first: where it ends that process, or never answers, it is refused -----------
 
 _answered: set[tuple[Any, ...]] = set()  # archives and arguments that were tried in this process
-_tried_models: list[FmuModel] = []  # in the other process, where nothing is freed: that comes after the answer
+_tried_models: list[Any] = []  # in the other process, where nothing is freed: that comes after the answer
 
 
-def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, float], time_limit: float) -> None:
-    """Raises ValueError where the model cannot be made of an FMU and evaluated once within a time, in seconds."""
+def check_answer(
+    unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, float], time_limit: float,
+    make: Callable[..., object], *more: Any,
+) -> None:  # fmt: skip
+    """Raises ValueError where a model cannot be made of an FMU, and evaluated once, within a time, in seconds.
+
+    `make` gets the FMU that is unpacked, the choices, the inputs, and `more`.
+    """
     from casadi_skin.solve.processes import Worker, WorkerEndedError
 
-    key = unpacked.digest, choices, tuple(inputs.items())
+    key = unpacked.digest, choices, tuple(inputs.items()), unpacked.kind, more
     if key in _answered:
         return
     worker, words = Worker(group=True), f"{unpacked.path}: its binary"
     try:
-        task = unpacked.path, unpacked.folder, unpacked.library, choices, inputs
+        files = unpacked.path, unpacked.folder, unpacked.library, unpacked.kind
+        task = make, files, (choices, inputs, *more)
         worker.compute(pickle.dumps(_try), task, time_limit)
     except TimeoutError:
         accepted = "accepted: one that does, or a longer time_limit"
@@ -273,14 +280,15 @@ def check_answer(unpacked: Unpacked, choices: FmuChoices, inputs: Mapping[str, f
 
 
 def _try(task: Any, *_: Any) -> None:
-    """In the process: make the model as `import_fmu` does, and evaluate it once."""
-    path, folder, library, choices, inputs = task
+    """In the process: make the model, and evaluate it once."""
+    make, (path, folder, library, kind), arguments = task
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a binary prints is not for the reader, who may see it later
     with suppress(Exception):  # the same is raised, and reported, where the FMU is read
-        unpacked = Unpacked(path, folder, library, read_description(path, folder), lambda: None)
-        model = made(unpacked, choices, inputs)
+        description = read_description(path, folder, kind)
+        model = make(Unpacked(path, folder, library, description, lambda: None, kind=kind), *arguments)
         _tried_models.append(model)
-        model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
+        if isinstance(model, FmuModel):
+            model.function("once", model.rhs, *model.outputs.values())(0.0, model.start_state, model.nominal or ())
 
 
 # Models of FMUs in files of results: the identity of the FMU and the choices of its import; never its binary ----------
@@ -353,6 +361,28 @@ def at_symbols(columns: list[ca.SX], before: list[ca.SX], symbols: list[Any]) ->
 TIME_LIMIT = 60.0  # seconds
 
 
+def checked_choices(
+    states: object, parameters: object, inputs: Mapping[str, Signal] | None, forcing_period: float | None,
+    time_limit: float,
+) -> tuple[FmuChoices, Mapping[str, Signal], dict[str, float]]:  # fmt: skip
+    """The choices of a script, its signals, and their values at time 0; raises as `import_fmu` does."""
+    if forcing_period is not None and number("forcing_period", forcing_period) <= 0:
+        raise ValueError(f"forcing_period: given {forcing_period!r}; accepted: a number > 0")
+    if number("time_limit", time_limit) <= 0:
+        raise ValueError(f"time_limit: given {time_limit!r}; accepted: seconds > 0")
+    listed: list[tuple[str, ...]] = []
+    for label, names in (("states", () if states is None else states), ("parameters", parameters)):
+        if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+            raise ValueError(f"{label}: given {short_repr(names)}; accepted: a list of names")
+        listed.append(tuple(names))
+    signals = by_name("inputs", inputs, "a number or a function f(t)")
+    t = ca.MX.sym("t")
+    first = [signal_at(name, signal, t, forcing_period) for name, signal in signals.items()]
+    at_start = {name: float(ca.Function("u", [t], [u])(0.0)) for name, u in zip(signals, first, strict=True)}
+    order = None if states is None else listed[0]
+    return FmuChoices(order, listed[1], tuple(signals), forcing_period), signals, at_start
+
+
 @in_turn
 def import_fmu(
     path: str | Path,
@@ -387,24 +417,11 @@ def import_fmu(
             Exchange; its binary does not come back; or fmpy (the extra "fmu") is not installed. In one line.
         TypeError: An argument is of another kind.
     """
-    if forcing_period is not None and number("forcing_period", forcing_period) <= 0:
-        raise ValueError(f"forcing_period: given {forcing_period!r}; accepted: a number > 0")
-    if number("time_limit", time_limit) <= 0:
-        raise ValueError(f"time_limit: given {time_limit!r}; accepted: seconds > 0")
-    for label, names in (("states", states), ("parameters", parameters)):
-        given = () if names is None and label == "states" else names
-        if not isinstance(given, list | tuple) or not all(isinstance(name, str) for name in given):
-            raise ValueError(f"{label}: given {short_repr(names)}; accepted: a list of names")
-    signals = by_name("inputs", inputs, "a number or a function f(t)")
-    t = ca.MX.sym("t")
-    first = [signal_at(name, signal, t, forcing_period) for name, signal in signals.items()]
-    at_start = {name: float(ca.Function("u", [t], [u])(0.0)) for name, u in zip(signals, first, strict=True)}
-    order = None if states is None else tuple(states)
-    choices = FmuChoices(order, tuple(parameters), tuple(signals), forcing_period)
+    choices, signals, at_start = checked_choices(states, parameters, inputs, forcing_period, time_limit)
     unpacked = unpack(file_path("path", path))
     try:
         variables = Variables(unpacked.path, unpacked.description, choices)  # names first: they run nothing
-        check_answer(unpacked, choices, at_start, time_limit)
+        check_answer(unpacked, choices, at_start, time_limit, made)
         model = made(unpacked, choices, signals)
         if variables.indicators:
             words = "it is followed between events, and refused along a solution where one of them changes its sign"

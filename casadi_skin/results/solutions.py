@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_skin.dynamics.evolution import Evolution
+from casadi_skin.fmu.map_orbit import MapOrbit
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Equilibrium, Orbit, Solution
 from casadi_skin.follow.space import EQUILIBRIA, FAMILY, ORBITS
@@ -84,6 +86,26 @@ def _(result: Evolution) -> words.Shown:
 
     title = f"Time evolution of {words.model_words(result.model)}"
     return words.Shown(title, rows, draw, "states in time", lambda: _states(result.t, result.names, result.states))
+
+
+@words.show.register
+def _(result: MapOrbit) -> words.Shown:
+    moduli = [with_error(abs(v), e) for v, e in zip(result.multipliers, result.multiplier_errors, strict=True)]
+    rows = [("period", with_error(result.period, result.period_error)), *words.parameters(result.parameters)]
+    state = zip(result.state_names, result.state, result.state_error, strict=True)
+    rows += [("state", words.listed(f"{name} = {with_error(value, error)}" for name, value, error in state))]
+    rows += [("multipliers", words.complex_numbers(result.multipliers)), ("moduli", words.listed(moduli))]
+    rows += (
+        [] if result.solver_seen else [("solver", "its error does not show: errors are those of the FMU's map alone")]
+    )
+    unresolved = f"unresolved: {words.complex_numbers(result.undecided)} may be on the unit circle"
+    rows += [("stability", {True: "stable", False: "unstable", None: unresolved}[result.stable])]
+
+    def draw(axes: Axes, states: Sequence[str] | None = None) -> int:
+        return _draw_states(axes, result.t, result.states, result.state_names, states)
+
+    columns = partial(_states, result.t, result.state_names, result.states)
+    return words.Shown(f"Orbit of {result.name}, of its map", rows, draw, "states over the period", columns)
 
 
 def _states(t: Any, names: Iterable[Any], values: Any) -> words.Columns:

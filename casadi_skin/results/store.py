@@ -43,6 +43,7 @@ SAVED_CLASSES = {  # that a file may name, by module: "other=own" where the name
     "certify.certificate": "Certificate Constants ProvedStability ProvedStretch",
     "dynamics.evolution": "Cycle Evolution",
     "dynamics.starts": "Spreading",
+    "fmu.map_orbit": "MapOrbit",
     "follow.boundary_space": "BoundarySpace",
     "follow.branch": "Branch",
     "follow.events": "StabilityChange",

@@ -196,6 +196,26 @@ def test_chain_as_fmu(run_example: RunExample) -> None:
 
 
 @pytest.mark.slow
+def test_co_simulation(run_example: RunExample) -> None:
+    """Multipliers and periods by scipy's integrator along the orbit, with the variational equations."""
+    orbits = run_example("co_simulation")
+    for orbit in (orbits[0], orbits[-1]):
+        c = orbit.parameters["c"]
+
+        def field(_: float, s: np.ndarray, c: float = c) -> np.ndarray:
+            (x, y, z), M = s[:3], s[3:].reshape(3, 3)
+            J = np.array([[0.0, -1.0, -1.0], [1.0, 0.2, 0.0], [z, 0.0, x - c]])
+            return np.concatenate([[-y - z, x + 0.2 * y, 0.2 + z * (x - c)], (J @ M).ravel()])
+
+        start = np.concatenate([orbit.state, np.eye(3).ravel()])
+        end = solve_ivp(field, (0.0, orbit.period), start, "DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+        assert end[:3] == pytest.approx(orbit.state, abs=1e-7)
+        eigenvalues = np.linalg.eigvals(end[3:].reshape(3, 3))
+        assert np.min(np.abs(eigenvalues - orbit.multipliers[0])) <= orbit.multiplier_errors[0] < 1e-4
+    assert [orbit.stable for orbit in orbits] == [orbit.parameters["c"] < 2.832445 for orbit in orbits]
+
+
+@pytest.mark.slow
 def test_foreign_fmu(run_example: RunExample) -> None:
     branch = run_example("foreign_fmu")
     assert branch.at(1.0).period == pytest.approx(6.66328685932313, abs=1e-8)

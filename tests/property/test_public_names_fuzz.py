@@ -44,6 +44,7 @@ from casadi_skin import (
     fit_parameters,
     follow_family,
     harmonic_shares,
+    import_co_simulation,
     import_fmu,
     initial_state,
     lattice_modes,
@@ -251,6 +252,11 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
         lambda: import_fmu,
         {"path": "missing.fmu", "states": None, "parameters": (), "forcing_period": None, "time_limit": 5.0},
     ),
+    "import_co_simulation": (
+        lambda: import_co_simulation,
+        {"path": "missing.fmu", "states": None, "parameters": (), "inputs": None, "forcing_period": None, "step": 0.1,
+         "solver_tolerance": 1e-4, "time_limit": 5.0},
+    ),
     "run_map": (
         lambda: run_map,
         {"scene": "missing.toml", "path": "map", "workers": 1, "scheduler": None, "executor": None, "part": None,
@@ -424,7 +430,14 @@ def is_made_here(public: Any) -> bool:
 @pytest.mark.slow
 def test_the_calls_to_mutate_are_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    needs = ("build_c", "import_fmu", "read_map", "run_map", "smallest_kick")  # files, or a stable orbit
+    needs = (
+        "build_c",
+        "import_co_simulation",
+        "import_fmu",
+        "read_map",
+        "run_map",
+        "smallest_kick",
+    )  # files, or a stable orbit
     for name in (name for name in CALLS if name not in needs):
         make, right = CALLS[name]
         given = dict(right)

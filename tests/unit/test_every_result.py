@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import casadi as ca
@@ -30,10 +31,12 @@ from casadi_skin import (
     OdeModel,
     Site,
     evolve,
+    export_fmu,
     find_equilibrium,
     find_orbit,
     fit_parameters,
     follow_family,
+    import_co_simulation,
     optimise,
     pareto_front,
     read_result,
@@ -149,6 +152,13 @@ def front() -> Any:
     return pareto_front("Omega", "gamma", orbit, over=["gamma"], bounds={"gamma": (0.1, 0.3)}, points=3)
 
 
+def orbit_of_a_map() -> Any:
+    with TemporaryDirectory() as folder:
+        path = export_fmu(cycle(), Path(folder, "hopf.fmu"))
+        model = import_co_simulation(path, parameters=["mu"], step=0.1)
+    return model.find_orbit()
+
+
 MAKERS: dict[str, Callable[[], Any]] = {
     "Bands": lambda: bands(RING),
     "Branch": lambda: rest().follow("mu", 0.1),
@@ -170,6 +180,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Floquet of a family": lambda: member().floquet(),
     "Gradient": lambda: cycle().gradient("period"),
     "LatticeModes": lambda: lattice_modes(RING),
+    "MapOrbit": orbit_of_a_map,
     "Orbit": cycle,
     "ParetoFront": front,
     "ProvedStability": lambda: member().proved_stability,

@@ -469,7 +469,7 @@ def test_fmus_that_cannot_be_used_are_refused(chain_fmu: Path, own_temporary_fol
     path = changed(chain_fmu, tmp_path / "cs.fmu", {"modelDescription.xml": without_exchange})
     words = "no Model Exchange, Co-Simulation alone: its solver is inside, and there is no right-hand side to ask for"
     assert words in refusal(path)
-    assert refusal(path).endswith("may export it; fmpy.simulate_fmu runs this one")
+    assert refusal(path).endswith("may export it; import_co_simulation finds orbits of this one")
 
 
 @pytest.mark.slow
