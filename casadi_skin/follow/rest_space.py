@@ -27,7 +27,7 @@ from casadi_skin.model.arguments import (
     check_name,
     number,
     number_within,
-    numbers,
+    pair,
     short_repr,
     state_by_name,
     whole,
@@ -470,13 +470,10 @@ def _corners(bounds: Any, names: Sequence[str]) -> tuple[Array, Array]:
     for name in names:
         if name not in pairs:
             raise ValueError(f"bounds: given none of {name}; accepted: (lower, upper) of each of {', '.join(names)}")
-    ends = [numbers(f"bounds, {name}", pairs[name]) for name in names]
-    for name, pair in zip(names, ends, strict=True):
-        if len(pair) != 2 or pair[0] > pair[1]:
-            given = short_repr(pairs[name])
-            raise ValueError(f"bounds: given {given} for {name}; accepted: (lower, upper), lower <= upper")
-    low, high = np.array(ends).T
-    return low, high
+    ends = np.array([pair(f"bounds[{name}]", pairs[name]) for name in names])
+    if not np.all(np.isfinite(ends)):
+        raise ValueError(f"bounds: given {short_repr(bounds)}; accepted: finite numbers")
+    return ends[:, 0], ends[:, 1]
 
 
 def _statics(model: Any, parameters: Mapping[str, float] | None) -> Statics:

@@ -14,6 +14,7 @@ from typing import Any, cast
 LONGEST_VALUE_TEXT = 60  # characters of a value or name in a message
 MOST_DIGITS = 12  # of a number with its error
 MANY_NODES = 1000  # of an expression that no message shows
+PAIR_WORDS = "a pair (lower, upper) of numbers, None where there is no bound"
 SAME_PERIOD_RTOL = 1e-12  # relative difference of periods that are the same
 
 
@@ -173,6 +174,20 @@ def numbers(name: str, values: object) -> tuple[float, ...]:
     except TypeError:
         raise TypeError(f"{name}: given {short_repr(values)}; accepted: {accepted}") from None
     return tuple(number(name, value, accepted) for value in given)
+
+
+def pair(place: str, given: object) -> tuple[float, float]:
+    """Two bounds; raises TypeError and ValueError unless they are a pair of ascending numbers."""
+    ends = tuple(given) if isinstance(given, list | tuple) else ()
+    if len(ends) != 2:
+        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR_WORDS}")
+    lower, upper = (
+        absent if value is None or (isinstance(value, float) and value == absent) else number(place, value, PAIR_WORDS)
+        for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
+    )
+    if lower > upper:
+        raise ValueError(f"{place}: given {short_repr(given)}; accepted: (lower, upper), lower <= upper")
+    return lower, upper
 
 
 def truth(name: str, value: object) -> bool:

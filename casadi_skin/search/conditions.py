@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from casadi_skin.model.arguments import accepted_names, number, short_repr, whole
+from casadi_skin.model.arguments import accepted_names, pair, short_repr, whole
 
 START_RANGE_MARGIN = 0.02  # of a range, which starts keep from its ends
-PAIR_WORDS = "a pair (lower, upper) of numbers, None where there is no bound"
 CONDITION_WORDS = "what is to vanish, or (quantity, lower, upper); a quantity is a name or {}"
 
 
@@ -44,20 +43,6 @@ def free_names(free: Sequence[str] | str, known: Iterable[str], label: str = "fr
         given = short_repr(list(names)) if names else "none"
         raise ValueError(f"{label}: given {given}; accepted: one or more of {', '.join(accepted)}, each once")
     return names
-
-
-def pair(place: str, given: object) -> tuple[float, float]:
-    """Two bounds; raises TypeError and ValueError unless they are a pair of ascending numbers."""
-    ends = tuple(given) if isinstance(given, list | tuple) else ()
-    if len(ends) != 2:
-        raise TypeError(f"{place}: given {short_repr(given)}; accepted: {PAIR_WORDS}")
-    lower, upper = (
-        absent if value is None or (isinstance(value, float) and value == absent) else number(place, value, PAIR_WORDS)
-        for value, absent in zip(ends, (-math.inf, math.inf), strict=True)
-    )
-    if lower > upper:
-        raise ValueError(f"{place}: given {short_repr(given)}; accepted: (lower, upper), lower <= upper")
-    return lower, upper
 
 
 def checked_bounds(

@@ -151,18 +151,6 @@ class Place:
     things: tuple[LocatedThing, ...]
     rows: Rows | None = None
 
-    @property
-    def values(self) -> Array:
-        """Objective and constraints, shape (rows,)."""
-        assert self.rows is not None
-        return self.rows[0]
-
-    @property
-    def slopes(self) -> Array:
-        """Their derivatives, shape (rows, over)."""
-        assert self.rows is not None
-        return self.rows[1]
-
 
 class Search:
     """The designs from one start on."""
@@ -398,18 +386,18 @@ class Search:
         k = (G - g)/w, and g w (g/G)^(1/(m - 1)) by |x|^m, m = G w over the fall of the value, where w is far longer
         than what is left. Of the nearest designs along active bounds the largest, twice.
         """
-        *others, here = [one for one in self.known if one.rows is not None]
+        *others, (p, rows, slopes) = [(one.p, *one.rows) for one in self.known if one.rows is not None]
         weights, left = np.append(self.sign, np.zeros(len(self.problem.rows))), float(np.linalg.norm(conditions.left))
         for bound, weight in conditions.bounds:
             weights[bound.row] -= bound.side * weight * (bound.row > 0)  # bounds of parameters are straight
-        normals = np.array([bound.normal for bound, _ in conditions.bounds]).reshape(-1, here.p.size)
+        normals = np.array([bound.normal for bound, _ in conditions.bounds]).reshape(-1, p.size)
         found = list[tuple[float, float, float]]()
-        for one in others:
-            way = (one.p - here.p) / self.problem.scales
+        for one, values, derivatives in others:
+            way = (one - p) / self.problem.scales
             length, across = np.linalg.norm(way), np.linalg.norm(np.linalg.lstsq(normals, normals @ way)[0])
             if length > 0.0 and across <= LARGEST_PART_ACROSS * length:
-                fall, far = float(weights @ (one.values - here.values)), float(weights @ one.slopes @ (one.p - here.p))
-                near, most = float(weights @ here.slopes @ (one.p - here.p)), float(left * length)
+                near, far = (float(weights @ by @ (one - p)) for by in (slopes, derivatives))
+                fall, most = float(weights @ (values - rows)), float(left * length)
                 power = 1.0 / (max(far / fall, 2.0) - 1.0) if fall > 0.0 else 1.0
                 by_curvature = most**2 / (far - near) if far > near else most
                 found.append((float(length), by_curvature, most * min(most / far, 1.0) ** power if far > 0.0 else most))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +17,7 @@ from casadi_skin.dynamics.evolve import distance_from_orbit, evolve
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.model.arguments import check_name, number, short_repr, whole
+from casadi_skin.model.expressions import site_numbers
 from casadi_skin.model.result import Result, in_turn, renamed
 from casadi_skin.search.cosine_orbit import CosineOrbit
 from casadi_skin.search.design import Ending, grouped
@@ -24,6 +25,7 @@ from casadi_skin.search.kick_nlp import KickedFlow, KickNlp, KickOptimum, reach
 from casadi_skin.search.nlp import Outcome, Start, lost_start, solve_start
 from casadi_skin.solve.ipopt import SOLVED_STATUS, Monitor
 from casadi_skin.solve.processes import Report, Runner
+from casadi_skin.zero.coordinates import numbered
 from casadi_skin.zero.problem import Array, Indices
 
 PEAK_WINDOWS = np.array([np.inf] * 4 + [0.03, 0.01, 0.003, 0.001])  # of a period, around a time of escape
@@ -266,21 +268,6 @@ def check(orbit: Orbit, time: float, distance: float, norm: str, starts: int, se
         )
 
 
-def kicked_sites(orbit: Orbit, sites: int | Iterable[int] | None) -> Indices:
-    """Indices of the sites that may be kicked."""
-    count = orbit.model.sites
-    if sites is None:
-        return np.arange(count)
-    refused = f"sites: given {short_repr(sites)}; accepted: one or more different sites 1..{count}"
-    if isinstance(sites, bool) or not isinstance(sites, int | np.integer | list | tuple | range | np.ndarray):
-        raise TypeError(refused)
-    given = np.atleast_1d(np.asarray(sites, dtype=object)).ravel().tolist()
-    known = all(isinstance(n, int) and not isinstance(n, bool) and 1 <= n <= count for n in given)
-    if not given or not known or len(set(given)) < len(given):
-        raise ValueError(refused)
-    return np.array(sorted(given)) - 1
-
-
 # The smallest kick that takes a linearly stable breather away within a given time -------------------------------------
 
 REACH_SHARE = 0.99  # of the orbit's reach, which is known on a grid of phases
@@ -393,7 +380,7 @@ def smallest_kick(
     *,
     distance: float = 0.5,
     norm: str = "physical",
-    sites: int | Iterable[int] | None = None,
+    sites: ArrayLike | None = None,
     starts: int = 8,
     seed: int = 0,
     progress: Report | None = None,
@@ -424,7 +411,9 @@ def smallest_kick(
     """
     check(orbit, time, distance, norm, starts, seed)
     runner = Runner(progress, workers, executor, lost_start)
-    kicked = kicked_sites(orbit, sites)
+    kicked = np.unique(numbered(site_numbers(sites), orbit.model.sites))
+    if not kicked.size:
+        raise ValueError("sites: given none; accepted: one or more")
     flow = KickedFlow.up_to(orbit, float(time))
     farthest_known = REACH_SHARE * reach(flow.curve)
     if not distance < farthest_known:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_skin.model.arguments import by_name, check_instance, check_name, number, short_repr
+from casadi_skin.model.arguments import by_name, check_instance, check_name, number, pair, short_repr
 from casadi_skin.model.expressions import Expression, expression_of, in_scalars, is_comparison, product
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import WithVerbs
@@ -146,12 +146,11 @@ class Statement(WithVerbs):
 
     def _check_bounds(self) -> None:
         _check_names("bounds", self.bounds, (*self.model.state_names, *self.free))
-        for name, bound in self.bounds.items():
-            pair = isinstance(bound, list | tuple) and len(bound) == 2 and all(isinstance(b, Real) for b in bound)
-            if not pair or not bound[0] < bound[1]:
-                raise ValueError(
-                    f"bounds: given {short_repr(bound)} for {name}; accepted: (lower, upper), lower < upper"
-                )
+        pairs = {name: pair(f"bounds[{name}]", given) for name, given in self.bounds.items()}
+        for name, (lower, upper) in pairs.items():
+            if lower == upper:
+                raise ValueError(f"bounds[{name}]: given {lower!r} twice; accepted: (lower, upper), lower < upper")
+        object.__setattr__(self, "bounds", pairs)
 
     # Parts ------------------------------------------------------------------------------------------------------------
 

@@ -134,7 +134,7 @@ def test_a_free_parameter_is_found_by_a_condition_at_phase_zero() -> None:
     [
         ({"select": ca.SX.sym("mu") > 1}, "select: given a comparison"),
         ({"objective": "frequency"}, "objective: given 'frequency'; accepted: an expression, or 'period'"),
-        ({"bounds": {"mu": (1.0, 0.5)}}, "bounds: given .* for mu; accepted: .lower, upper., lower < upper"),
+        ({"bounds": {"mu": (1.0, 0.5)}}, "bounds.mu.: given .*; accepted: .lower, upper., lower <= upper"),
         ({"bounds": {"nu": (0.0, 1.0)}}, "bounds: given 'nu'; accepted: x, y, period, mu"),
         ({"objective": ca.SX.sym("u")}, "objective: depends on u; accepted: x, y, mu"),
         ({"running": ca.SX.sym("u")}, "running: depends on u; accepted: "),

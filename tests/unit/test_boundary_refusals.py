@@ -66,7 +66,7 @@ def failing(make: Callable[[], object]) -> str:
         ({"interval": (0.0, U)}, "interval: depends on u; accepted: stiffness"),
         ({"interval": (0.0, ca.vertcat(K, K))}, "interval: given an end of shape (2, 1); accepted: scalars"),
         ({"bounds": {"w": (0.0, 1.0)}}, "bounds: given 'w'; accepted: u, v"),
-        ({"bounds": {"u": (1.0, 0.0)}}, "bounds: given (1.0, 0.0) for u; accepted: (lower, upper), lower < upper"),
+        ({"bounds": {"u": (1.0, 0.0)}}, "bounds[u]: given (1.0, 0.0); accepted: (lower, upper), lower <= upper"),
         ({"bounds": [(0.0, 1.0)]}, "bounds: given [(0.0, 1.0)]; accepted: (lower, upper) by name"),
         ({"objective": ca.vertcat(START, END)}, "objective: given shape (2, 1); accepted: a scalar expression"),
         ({"running": ca.vertcat(U, V)}, "running: given shape (2, 1); accepted: a scalar expression"),

@@ -72,9 +72,13 @@ def test_a_box_of_two_corners_is_the_same_and_warns() -> None:
     [
         ({"x": (0, 1), "y": (0, 1)}, r"bounds: given none of z; accepted: \(lower, upper\) of each of x, y, z"),
         ({"x": (0, 1), "y": (0, 1), "w": (0, 1)}, "bounds: given 'w'; accepted: x, y, z"),
-        ({"x": (0, 1), "y": (2, 1), "z": (0, 1)}, r"bounds: given \(2, 1\) for y; accepted: \(lower, upper\)"),
-        ({"x": (0, 1, 2), "y": (0, 1), "z": (0, 1)}, r"bounds: given \(0, 1, 2\) for x; accepted: \(lower, upper\)"),
-        ({"x": 1, "y": (0, 1), "z": (0, 1)}, "bounds, x: given 1; accepted: a list of finite numbers"),
+        ({"x": (0, 1), "y": (2, 1), "z": (0, 1)}, r"bounds\[y\]: given \(2, 1\); accepted: \(lower, upper\)"),
+        (
+            {"x": (0, 1, 2), "y": (0, 1), "z": (0, 1)},
+            r"bounds\[x\]: given \(0, 1, 2\); accepted: a pair",
+        ),
+        ({"x": 1, "y": (0, 1), "z": (0, 1)}, r"bounds\[x\]: given 1; accepted: a pair \(lower, upper\)"),
+        ({"x": (None, 1), "y": (0, 1), "z": (0, 1)}, "bounds: given .*; accepted: finite numbers"),
         ([(0, 1)] * 3, r"bounds: given \[.*\]; accepted: \(lower, upper\) by name"),
     ],
 )
