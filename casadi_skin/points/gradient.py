@@ -293,7 +293,7 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         {parameter: derivative} with `errors`: each with all other parameters held.
 
     Raises:
-        ValueError: the solution has no such quantity, or has an objective.
+        ValueError: the solution has no such quantity, is at a kink of it, or has an objective.
         ArithmeticError: the solution is not regular, as at a fold.
     """
     truth("errors", errors)
@@ -304,8 +304,9 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         space = solution.space
     if space.optimises:
         raise ValueError("gradient: given a solution with an objective; accepted: one without")
-    point, problem = solution.point, solution.point.problem
+    problem, z = solution.point.problem, solution.point.z.copy()
     if fixed is not None:
+        z[-1] = 0.0  # the branch begins at the solution then
         if solution.is_orbit:  # others are refused
             space = replace(space, statement=space.statement.with_parameters(**solution.parameters))
         space = held_space(space, fixed)
@@ -316,7 +317,7 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
     if solution.is_orbit and not np.any(np.ptp(solution.states, axis=0)):
         raise SingularError("gradient: given an orbit at rest, which is not regular; accepted: one beside it")
     names = [name for name in space.model.parameter_names if name not in space.free]
-    at = problem, _polished(problem, point.z, 1)
+    at = problem, _polished(problem, z, 1)
     value = target(*at)[0]
     if not np.isfinite(value):
         raise ValueError(f"quantity: given {words}, which is {value:g} there; accepted: one that is finite")
@@ -324,7 +325,7 @@ def gradient_of(solution: Solution, quantity: Any, *, fixed: str | None = None, 
         target.check_smooth(*at, solution.error)
     if words == "energy" and not np.isclose(value, family.energy, rtol=1e-6):
         raise ValueError("quantity: given energy in a gauge, which parameters change; accepted: that of a model")
-    found = _with_errors(target, at, _finer(space, problem, point.z), names, errors)
+    found = _with_errors(target, at, _finer(space, problem, z), names, errors)
     picked = "" if fixed is None else f", and the {fixed}"
     return _gradient(words, value, names, found, f"all other parameters{picked}")
 

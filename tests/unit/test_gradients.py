@@ -622,6 +622,26 @@ def test_the_period_of_a_pendulum_is_that_of_elliptic_integrals() -> None:
     assert orbit.gradient("q_max", fixed="period")["w"] == pytest.approx(-exact["w"] / exact["size"], rel=1e-10)
 
 
+def test_a_period_that_is_held_is_that_of_any_orbit_of_a_branch() -> None:
+    """q'' = -a q - b q^3 from q = 1: inside a branch in a the quantity had been that of another a."""
+    q, v, a, b = symbols("q v a b")
+    energy = v**2 / 2 + a * q**2 / 2 + b * q**4 / 4
+    model = OdeModel(
+        "Duffing", ca.vertcat(q, v), ca.vertcat(v, -a * q - b * q**3), ca.vertcat(a, b), nominal=(1.0, 0.5),
+        hamiltonian=energy,
+    )  # fmt: skip
+    start = find_orbit(model, lambda t: [np.cos(1.17 * t), -1.17 * np.sin(1.17 * t)], 2 * np.pi / 1.17, select=q - 1)
+    for options in ({}, {"fixed": "period"}):
+        orbit = start.follow("a", 1.1, at=(1.04,), **options).at(a=1.04)
+        beside = [orbit.follow("a", value, fixed="period").solutions[-1] for value in (1.0399, 1.0401)]
+        found = {name: orbit.gradient(name, fixed="period") for name in ("q", "energy")}
+        assert found["q"].value == pytest.approx(orbit.evaluate(0.0)[0], rel=1e-12)
+        assert found["energy"].value == pytest.approx(orbit.energy, rel=1e-12)
+        one, other = ({"q": each.evaluate(0.0)[0], "energy": each.energy} for each in beside)
+        for name, gradient in found.items():
+            assert gradient["a"] == pytest.approx((other[name] - one[name]) / 2e-4, rel=1e-6)
+
+
 def test_errors_of_coarse_meshes_are_never_below_the_truth() -> None:
     for amplitude in (0.5, 2.0, 3.0):
         for tolerance, degree in ((1e-2, 2), (1e-4, 3), (1e-6, 4)):
