@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
@@ -107,8 +106,11 @@ class CurveSearch(Search):
             name: lambda point, at=at: kappa(point) - at  # type: ignore[misc]
             for at, name in self.kinds.meetings.items()
         }
-        with suppress(RuntimeError, NotImplementedError):  # the model has no third derivatives
+        try:
             found |= self.branching_tests() if self.kind == BRANCH_POINT else self.coefficient_tests()
+        except (RuntimeError, NotImplementedError) as error:  # of derivatives that the model does not have
+            words = f"the coefficient of the normal form is not computed: {' '.join(str(error).split())}"
+            self.gaps.append(gap_between(self.space, *self.ends, words, self.kinds.degenerate or CUSP))
         return found
 
     def coefficient_tests(self) -> dict[str, Test]:

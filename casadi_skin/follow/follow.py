@@ -103,6 +103,7 @@ class BranchRun:
         results, some = self._results(), list[Solution]()
         while True:  # the contexts are not those of the caller's work in between
             over = time.monotonic() + (seconds if self.solutions else 0.0)
+            # No point has a residual that is not finite.
             with one_thread(), interrupts_deferred(), np.errstate(all="ignore"), self._watch():
                 some = []
                 for result in results:

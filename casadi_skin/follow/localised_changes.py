@@ -60,7 +60,7 @@ def localised_changes(family: Family, points: Sequence[Point]) -> StabilityDiagr
     Returns:
         Changes, with those that do not alter stability, and what is unresolved.
     """
-    with one_thread(), np.errstate(all="ignore"):
+    with one_thread(), np.errstate(all="ignore"):  # numbers that are not finite are not counted, and named
         return EdgeOrbits(family, points).diagram()
 
 

@@ -341,7 +341,7 @@ class PointSolver:
             return "a frequency or a step that is not positive"
         row = self.metric(problem, z) * point.tangent
         try:
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"):  # what is not finite is said to be no point below
                 solve = self.factor(problem, z, row)
                 left_over, tangent = solve(np.append(problem.evaluate(z)[0], 0.0)), self.tangent(problem, z, solve)
                 moved = step_error(problem, z, left_over).relative(problem.frequency(z))

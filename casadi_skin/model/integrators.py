@@ -298,7 +298,7 @@ def far_state(
 
     field, moving = model.vector_field, model.size if model.order == 2 else None
     far = ESCAPE_FACTOR * max(1.0, float(np.max(np.abs(state))))
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # a state that overflows has run away, which is what is asked
         rule = DOP853(lambda t, x: np.array(field(t, x, parameters)).ravel(), time, state, end, rtol=1e-6)
         for _ in range(ESCAPE_STEPS):  # a stiff model would take very many
             if not np.isfinite(rule.h_abs):  # scipy's step would never end

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -223,10 +222,12 @@ def _special_point(point: SpecialPoint, wanted: Collection[str]) -> dict[str, Ce
     if point.mu is not None:
         cells |= {"mu": point.mu, "loses": ", ".join(point.lost) if "loses" in wanted else ""}
     if "criticality" in wanted:
-        with suppress(ValueError, ArithmeticError):
+        try:
             coefficient = point.coefficient
             cells |= {"frequency": point.frequency or "", "criticality": point.criticality}
             cells |= {} if math.isnan(coefficient) else {"coefficient": coefficient}
+        except (ValueError, ArithmeticError) as error:  # of a kind without a normal form: ValueError
+            cells["criticality"] = f"unknown: {error}" if isinstance(error, ArithmeticError) else ""
     return cells
 
 

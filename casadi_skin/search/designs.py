@@ -34,6 +34,7 @@ MOST_KNOWN = 16  # designs that are kept, of which the nearest is where the next
 ACCURACY = 1e-16  # of the scaled objective, at which SLSQP ends by itself; what is sought ends it before
 OPTIMAL, SOUGHT = 1e-7, 2e-8  # of the largest scaled gradient: what an optimum may leave, and what is sought
 FLAT = 1e-2  # of a constraint's largest gradient and value, below which a gradient does not say what is small
+HELD_RTOL, PART_BESIDE = 1e-13, 0.01  # of a value, what it changes by where it is held; of scales, to another design
 VALUE_ROUNDING = 4.0 * EPSILON  # of a quantity that is made of a few operations
 NEAREST_DESIGNS, LARGEST_PART_ACROSS = 3, 0.3  # from which curvature is estimated; of a way, across active bounds
 NEAR_BOUND = 1e-7  # of its range: a number at its bound
@@ -70,7 +71,8 @@ def optimise(
         subject_to: constraints, each a quantity that is to vanish, or (quantity, lower, upper).
         bounds: (lower, upper) by name, None where there is none: of the parameters, and of quantities.
         maximise: whether the quantity is maximised.
-        starts: number of starts: the own parameters first, then a Halton sequence within the bounds.
+        starts: number of starts: the own parameters first, then a Halton sequence within the bounds; where one is
+            missing from half to twice the own value, so that a 0 without bounds stays.
         seed: of that sequence.
         tolerance: relative error of the value by discretisation, of orbits of a family.
         progress: called with a `SearchProgress` at every design.
@@ -166,6 +168,7 @@ class Search:
         self.first = np.empty(0)  # heights at the first design
         self.lost = list[Array]()  # designs at which not everything is located
         self.infeasible = False  # whether the constraints cannot be met near the last end
+        self.held = False  # whether the quantity does not change with what is free
 
     # Designs --------------------------------------------------------------------------------------------------------
 
@@ -239,6 +242,7 @@ class Search:
             error, slope_error = self._errors(conditions)
             finer = [thing.finer for thing in things] if error < np.inf else []
             if error <= tolerance * max(map(abs, self.values)) or all(thing is None for thing in finer):
+                self.held = self._is_held(p)
                 return self._optimum(p, conditions, (error + self._still_to_gain(conditions), slope_error), words)
             self.known = [Place(p, tuple(two or one for one, two in zip(things, finer, strict=True)))]
         return self._design(p)
@@ -379,6 +383,15 @@ class Search:
         bounds = list(zip(active, weights.tolist(), strict=True))
         return Conditions(left, float(np.max(np.abs(left))) / (self.sizes[0] or 1.0), violation, worst, bounds)
 
+    def _is_held(self, p: Array) -> bool:
+        """Whether the quantity does not change with what is free, not even beside p, which may be an optimum."""
+        before = len(self.path)
+        for side in (1.0, -1.0):
+            if self.sizes[0] <= HELD_RTOL * max(map(abs, self.values)):
+                self.rows(np.clip(p + side * PART_BESIDE * self.problem.scales, *self.problem.ends))
+        self.rows(p)
+        return before < len(self.path) and bool(self.sizes[0] <= HELD_RTOL * max(map(abs, self.values)))
+
     def _still_to_gain(self, conditions: Conditions) -> float:
         """By how much the value may be off that of the optimum, by what is left of the gradient, g.
 
@@ -422,6 +435,8 @@ class Search:
         for bound, weight in conditions.bounds:
             multipliers[bound.words] = multipliers.get(bound.words, 0.0) + self.sign * bound.side * weight
         ending, reason = Ending.FOUND, optimum_words(multipliers)
+        if self.held:
+            reason = f"every design is one: {problem.quantity} does not change with {', '.join(problem.over)}"
         if conditions.violation > FEASIBLE:
             ending = Ending.INFEASIBLE
             reason = f"{ending.value}; {conditions.worst} at the nearest design"

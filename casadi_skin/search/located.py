@@ -1,8 +1,8 @@
 """What designs locate again at every design: special points, equilibria and orbits, each near that of the last design.
 
-All have the same interface (`LocatedThing`). A special point is a regular solution of its augmented problem, which
-Newton's method solves at other parameters from the last z, and which confirms the kind; equilibria and orbits are those
-of their own equations. Derivatives are those of `points.gradient`.
+All have the same interface (`LocatedThing`), as `LocatedSolution` describes it. A special point is a regular solution
+of its augmented problem, which Newton's method solves at other parameters from the last z, and which confirms the kind;
+equilibria and orbits are those of their own equations. Derivatives are those of `points.gradient`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -22,40 +22,11 @@ from casadi_skin.follow.special_points import SpecialPoint, locate_rest, special
 from casadi_skin.model.arguments import accepted_names, short_repr
 from casadi_skin.points.edges import parameters_of
 from casadi_skin.points.gradient import Gradient
-from casadi_skin.search.families import FamilyStart, FreeNumber
+from casadi_skin.search.families import FamilyOrbit, FamilyStart, FreeNumber
 from casadi_skin.zero.kinds import EDGE, HOPF
 from casadi_skin.zero.problem import Array
 
 SHRUNK = 1e-4  # of an orbit's motion at the start: so near to a rest its equations have lost half of their digits
-
-
-class LocatedThing(Protocol):
-    """Something that is located at a design."""
-
-    @property
-    def expressions(self) -> Any: ...
-    @property
-    def numbers(self) -> Array:
-        """Values of the symbols of its expressions."""
-
-    @property
-    def derivatives(self) -> Array:
-        """Their derivatives by the parameters of designs, shape (symbols, over)."""
-
-    @property
-    def errors(self) -> tuple[Array, Array]:
-        """Estimated errors of both."""
-
-    @property
-    def solution(self) -> Any:
-        """What is located, as a user has it."""
-
-    def near(self, values: Mapping[str, float]) -> Self | None:
-        """The same at other values of these parameters; None where it is too far for Newton's method."""
-
-    @property
-    def finer(self) -> Self | None:
-        """On a finer discretisation; None where it is on one that meets its own tolerance."""
 
 
 class NamedNumbers:
@@ -93,7 +64,15 @@ class NamedNumbers:
 
 @dataclass(frozen=True, eq=False)
 class LocatedSolution:
-    """An equilibrium, an orbit or a solution of a boundary-value problem at a design."""
+    """An equilibrium, an orbit or a solution of a boundary-value problem at a design.
+
+    `numbers` are values of the symbols of its `expressions`, `derivatives` theirs by the parameters of designs `over`,
+    shape (symbols, over), and `errors` those of both. `near` is the same at other values of these parameters, None
+    where it is too far for Newton's method; `finer` on a finer discretisation, None on one that meets its tolerance.
+
+    Attributes:
+        solution: what is located, as a user has it.
+    """
 
     solution: Any
     expressions: NamedNumbers
@@ -229,6 +208,9 @@ def _moved_edge(point: SpecialPoint, values: Mapping[str, float]) -> SpecialPoin
                 return None
             point = SpecialPoint(EDGE, point.parameter, last.parameters, last.edge.error, last.orbit)
     return point
+
+
+LocatedThing = LocatedSolution | FamilyOrbit
 
 
 # What a user gives ----------------------------------------------------------------------------------------------------

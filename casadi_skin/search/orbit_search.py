@@ -306,7 +306,8 @@ def search_orbit(
         parameters: values of parameters by name, where they are not nominal.
         tolerance: bound of the estimated relative error by discretisation; `transcription`, `degree`, `corrector` and
             `intervals` may be given as well, as in `find_orbit`.
-        starts: number of starts: the own parameters first, then a Halton sequence within the bounds.
+        starts: number of starts: the own parameters first, then a Halton sequence within the bounds; where one is
+            missing from half to twice the own value, so that a 0 without bounds stays.
         seed: of that sequence.
         workers, executor: near a guess, processes that share the starts. Models and quantities that are programs stay
             in this one.

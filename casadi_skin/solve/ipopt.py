@@ -381,7 +381,7 @@ class ArbitratedCorrector(Corrector):
     def _agreed(self, solutions: Sequence[Array], verdicts: Sequence[Correction]) -> list[Correction]:
         """The verdicts, which are the solutions themselves where both are the same within the tolerance."""
         z, found = np.array(solutions), np.array([verdict.z for verdict in verdicts])
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # one that is not finite does not agree
             apart = np.sqrt(np.einsum("ij,ij->i", self.problem.metrics(z, 1.0), (found - z) ** 2))
         agree = apart <= AGREED_TOLERANCES * self.tolerance
         return [

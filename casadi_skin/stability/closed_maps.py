@@ -501,7 +501,7 @@ def _rounding(maps: Array, sizes: Array, found: Spectrum) -> Array:
     values, right = np.linalg.eig(product)
     order = np.argsort(-np.abs(values))
     right = right[:, order]
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # of defective ones the condition is infinite, and so is the error
         try:
             left = np.linalg.inv(right)
         except np.linalg.LinAlgError:  # exactly defective

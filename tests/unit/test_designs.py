@@ -421,6 +421,23 @@ def test_a_flat_direction_is_an_optimum_where_it_is() -> None:
                          bounds={"gamma": (0.1, 0.6)})  # fmt: skip
     assert result.found
     assert (result["gamma"], result.optimality) == (0.25, 0.0)
+    assert result.reason.startswith("every design is one: Omega does not change with gamma; ")
+
+
+def test_a_quantity_that_is_held_is_not_optimised() -> None:
+    """The position that `select` holds, and the period that a branch holds, do not change with b; others do."""
+    q, v, a, b = (ca.SX.sym(name) for name in "qvab")
+    rhs, energy = ca.vertcat(v, -a * q - b * q**3), v**2 / 2 + a * q**2 / 2 + b * q**4 / 4
+    model = OdeModel("Duffing", ca.vertcat(q, v), rhs, ca.vertcat(a, b), nominal=(1.0, 0.5), hamiltonian=energy)
+    orbit = find_orbit(model, lambda t: [np.cos(1.17 * t), -1.17 * np.sin(1.17 * t)], 2 * np.pi / 1.17, select=q - 1)
+    moved = orbit.follow("a", 1.1, fixed="period").solutions[-1]
+    for of, held, changing in ((orbit, "q", "period"), (moved, "period", "q")):
+        design = optimise(held, of, over=["b"], bounds={"b": (0.4, 0.9)})
+        assert design.reason.startswith(f"every design is one: {held} does not change with b; ")
+        assert optimise(changing, of, over=["b"], bounds={"b": (0.4, 0.9)}).active
+    start = find_equilibrium(OdeModel("line", q, a - q, a, nominal=(0.0,)), [0.0])
+    design = optimise("q^2", start, over=["a"])
+    assert design.reason.startswith("found an optimum inside its bounds; ")  # it is least where it begins
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from equilibrium_models import Brusselator, ab, branch_of, carbon_monoxide, has_points, hopf_pairs
+from equilibrium_models import Brusselator, ab, branch_of, carbon_monoxide, has_points, hopf_pairs, symbols
 from scipy.optimize import fsolve
 
 from casadi_skin import OdeModel, find_equilibrium
@@ -216,3 +216,21 @@ def test_a_hopf_curve_goes_on_where_its_plane_turns_by_a_right_angle() -> None:
     curve = hopf.curve("q", 1.0)
     assert curve.complete
     np.testing.assert_allclose(curve["p"], 0.0, atol=1e-13)
+
+
+def test_a_coefficient_that_is_not_computed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cusp of folds, which the coefficient finds, without it."""
+    x, p, a = symbols("x p a")
+    model = OdeModel("cubic", x, p - a * x + x**3, ca.vertcat(p, a), nominal=(3.0, 1.2))
+    fold = find_equilibrium(model, [-2.0]).follow("p", -3.0).special_points[0]
+    assert [point.kind for point in fold.curve("a", -1.0).special_points] == ["cusp"]
+
+    def none(*_: Any) -> None:
+        raise RuntimeError("no second\nderivatives")
+
+    monkeypatch.setattr("casadi_skin.follow.codimension_two.quadratic_term", none)
+    curve = fold.curve("a", -1.0)
+    assert not curve.special_points
+    assert {(gap.kind, gap.reason) for gap in curve.unresolved} == {
+        ("cusp", "the coefficient of the normal form is not computed: no second derivatives")
+    }

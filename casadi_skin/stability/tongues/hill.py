@@ -353,7 +353,7 @@ class EdgeHill:
         """Number of localised multipliers outside the circle, of the better orbit; None where they are not counted."""
         best, localised = state.better or state, self.coordinates.localised
         assert localised is not None
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # what is not finite is not counted: None
             hill = self.hill(best.problem, best.z)
             layout = Layout(hill.Omega, localised.bands)
             if names_of_arcs(layout) in ((FILLED_GAP,), (NARROW_GAP,)):
