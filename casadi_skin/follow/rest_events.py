@@ -348,6 +348,8 @@ class Census:
 
 TOGETHER_DEPTH = 4  # divisions after which a fold and a branch point that cannot be separated are one
 SHARP_TURN_COSINE = 0.5  # cosine of the turn between two points: a step turns by less
+POLE_RATIO = 1e3  # of eigenvalues beside a stretch that cannot be halved: on it one goes through infinity
+POLE_WORDS = "an eigenvalue goes through infinity, as where a mass matrix or algebraic equations are singular"
 NO_CROSSING = Crossing(0, "", 0.0, 1)  # of a fold or a branch point, which need none
 MOST_RECOUNTS = 3  # divisions of a stretch where special points do not account for eigenvalues
 SAME_POINT_RTOL = 1e-9  # of a step or of a frequency
@@ -455,6 +457,11 @@ class _Search(Search):
         crossings, first, last = self._crossings(stretch), stretch.first.point, stretch.last.point
         reals = sum(one.kind != HOPF for one in crossings)
         several = reals > 1 and not (stretch.turns or stretch.reorients)  # at once, as where a symmetry keeps them
+        sizes = [float(np.max(np.abs(one.values))) for one in (stretch.first, stretch.last)]
+        beside = max(float(np.max(np.abs(self.sampled(one).values))) for one in (self.first, self.last))
+        if stretch.reorients and min(sizes) > POLE_RATIO * beside:
+            self.gaps.append(gap_between(self.equations, first, last, POLE_WORDS, SPECIAL_POINTS))
+            return []
         kinds = [FOLD] * stretch.turns + [BRANCH_POINT] * (stretch.reorients or several)
         kinds += [HOPF] * (len(crossings) - reals)
         if not kinds:

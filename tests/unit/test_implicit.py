@@ -313,6 +313,22 @@ def test_folds_of_a_tunnel_diode() -> None:
     assert branch.solutions[0].eigenvalues.real < 0.0
 
 
+@pytest.mark.parametrize("folds", [False, True])
+def test_a_branch_where_equations_are_singular(folds: bool) -> None:
+    """The eigenvalue 1/(2 p) of x' = y - p, x = y^2, or 1/p of p y' = y: nothing branches off at p = 0."""
+    x, y, p = symbols("x y p")
+    rhs = [y - p, x - y**2] if folds else [-x + y, y]
+    model = OdeModel("singular", [x, y], rhs, p, mass=np.diag([1.0, 0.0]) if folds else [[1.0, 0.0], [0.0, p]])
+    start = find_equilibrium(model, [1.0, 1.0] if folds else [0.0, 0.0], parameters={"p": 0.9})
+    branch = start.follow("p", -1.0)
+    assert not branch.special_points
+    assert [not one.stable for one in (branch.solutions[0], branch.solutions[-1])] == [True, False]
+    (gap,) = branch.unresolved
+    assert "an eigenvalue goes through infinity" in gap.reason
+    assert gap.end < 0.0 < gap.start
+    assert gap.start - gap.end < 1e-6
+
+
 def test_simulation_starts_consistent_and_follows_the_equations_kept() -> None:
     times, model = np.linspace(0.0, 6.0, 61), pendulum(0.5, -np.cos(1.5))
     found = simulate(model, {"x": 0.9, "y": -0.1}, times, tolerance=1e-10)
