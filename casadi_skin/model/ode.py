@@ -169,7 +169,9 @@ class OdeModel(Equations, WithVerbs):
         """The model whose algebraic equations, where it has some, are met at a rate unless it has one of its own."""
         if self.implicit is None or not self.implicit.conditions or self.decay is not None:
             return self
-        return self._changed(decay=rate(self.implicit))
+        changed = self._changed(decay=rate(self.implicit))
+        changed.__dict__["ends"] = self.ends  # in which conditions of boundary-value problems are written
+        return changed
 
     def with_parameter(self, name: str, expression: Expression) -> tuple[OdeModel, Expression]:
         """A plain model with one more parameter, its last, that picks an orbit; and the expression in its symbols."""

@@ -130,9 +130,11 @@ class Statement(WithVerbs):
             object.__setattr__(self, label, tuple(named.values()))
 
     def _check_values(self) -> None:
+        """Algebraic equations of the model are met at a rate that the interval gives."""
         start, end = self.span()
         if not (np.isfinite(start) and np.isfinite(end) and end > start):
             raise ValueError(f"interval: given ({start:g}, {end:g}); accepted: finite ends, the second larger")
+        object.__setattr__(self, "model", self.model.decaying(lambda _: 2.0 * np.pi / (end - start)))
 
     def _check_count(self) -> None:
         given = _count(self.conditions) + _count(self.integrals)

@@ -11,10 +11,21 @@ import numpy as np
 import pytest
 from c_programs import COMPILERS, Library
 from scenes import Cli, Runs, column, table
+from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 from scipy.special import ellipk
 
-from casadi_skin import OdeModel, evolve, export_c, find_equilibrium, find_orbit, read_model, save_model, simulate
+from casadi_skin import (
+    BoundaryValueProblem,
+    OdeModel,
+    evolve,
+    export_c,
+    find_equilibrium,
+    find_orbit,
+    read_model,
+    save_model,
+    simulate,
+)
 
 V = 1e3  # another unit
 
@@ -327,6 +338,27 @@ def test_a_branch_where_equations_are_singular(folds: bool) -> None:
     assert "an eigenvalue goes through infinity" in gap.reason
     assert gap.end < 0.0 < gap.start
     assert gap.start - gap.end < 1e-6
+
+
+@pytest.mark.parametrize("time", [1e-9, 1.0, 1e9])
+def test_boundary_values_of_a_pendulum_in_any_unit_of_time(time: float) -> None:
+    """From an angle of 0.6 to another place in one unit of time; then its equation in the angle arrives there too."""
+    model = pendulum(0.0)
+    x, y, u, w, tension = model.state.elements()
+    rhs = ca.vertcat(model.given_rhs[:4] / time, model.given_rhs[4])
+    slow = OdeModel("slow", model.state, rhs, mass=model.mass)
+    at = slow.start
+    conditions = [
+        at(x) - np.sin(0.6), slow.end(x) - 0.1, at(x) ** 2 + at(y) ** 2 - 1.0, at(x) * at(u) + at(y) * at(w),
+        at(tension) - at(u) ** 2 - at(w) ** 2 + at(y),
+    ]  # fmt: skip
+    found = BoundaryValueProblem(slow, conditions, interval=(0.0, time)).solve([0.3, -0.9, 0.0, 0.0, 1.0])
+    first, last = found.evaluate(np.array([0.0, time]))
+    start = [0.6, first[2] / np.cos(0.6)]
+    swung = solve_ivp(lambda _, q: [q[1], -np.sin(q[0])], (0.0, 1.0), start, rtol=1e-11, atol=1e-12).y[:, -1]
+    assert last[:4] == pytest.approx(
+        [np.sin(swung[0]), -np.cos(swung[0]), swung[1] * np.cos(swung[0]), swung[1] * np.sin(swung[0])], abs=1e-9
+    )
 
 
 def test_simulation_starts_consistent_and_follows_the_equations_kept() -> None:
