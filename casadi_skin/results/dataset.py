@@ -105,13 +105,8 @@ def versions() -> dict[str, str]:
     import casadi
     import scipy
 
-    return {
-        "casadi_skin_version": __version__,
-        "casadi_version": casadi.__version__,
-        "numpy_version": np.__version__,
-        "scipy_version": scipy.__version__,
-        "python_version": platform.python_version(),
-    }
+    used = {f"{package.__name__}_version": package.__version__ for package in (casadi, np, scipy)}
+    return {"casadi_skin_version": __version__, **used, "python_version": platform.python_version()}
 
 
 # netCDF ---------------------------------------------------------------------------------------------------------------

@@ -253,11 +253,7 @@ FIXED = tuple(q.name for q in (*HEAD, IS_FOLD, PERIOD, *ERRORS, *STABILITY))  # 
 FIXED_AT_REST = tuple(q.name for q in (*HEAD, SPECIAL, *AT_REST) if not q.dimensions)
 
 
-def _parameter(name: str) -> Callable[[Place], Any]:
-    return lambda p: p.solution.parameters[name]
-
-
-def _component(values: Callable[[Place], Any], place: int) -> Callable[[Place], float]:
+def _component(values: Callable[[Place], Any], place: Any) -> Callable[[Place], float]:
     return lambda p: float(values(p)[place])
 
 
@@ -279,7 +275,7 @@ def _model_quantities(branch: Branch) -> list[Quantity]:
         return Quantity(unique, meaning, of, where=CSV)
 
     def parameters(chosen: Iterable[str], meaning: str = "the parameter {}") -> list[Quantity]:
-        return [of_user(name, meaning.format(name), _parameter(name)) for name in chosen]
+        return [of_user(n, meaning.format(n), _component(at("solution.parameters"), n)) for n in chosen]
 
     quantities = [*HEAD, SPECIAL if at_rest else IS_FOLD]
     quantities += parameters(followed) if at_rest else parameters(followed, "the parameter followed")

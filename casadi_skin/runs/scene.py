@@ -58,7 +58,6 @@ Preset = Literal["draft", "standard", "reference"]
 Leaving = Literal["hopf", "branch point", "period doubling"]
 Fixed = Literal["period", "frequency"]
 CPart = Literal["rhs", "jacobian", "variational", "flow", "residual", "newton", "orbit", "ipopt"]
-PRESETS: tuple[str, ...] = get_args(Preset)
 LEAVING: tuple[str, ...] = get_args(Leaving)  # the same as in points.diagram, which loads numerics
 C_PARTS: tuple[str, ...] = get_args(CPart)  # the same as in export, which loads numerics
 

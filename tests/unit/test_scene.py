@@ -14,7 +14,6 @@ from casadi_skin.runs.reading import parse_scene, read_scene, scene_schema
 from casadi_skin.runs.rules import SceneError
 from casadi_skin.runs.scene import (
     PRESET_TOLERANCES,
-    PRESETS,
     ChainTable,
     DynamicsTable,
     FamilyTable,
@@ -106,7 +105,11 @@ def test_accepted(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("table", "tolerance"),
-    [("", 1e-8), ("tolerance = 1e-9", 1e-9), *((f'preset = "{name}"', PRESET_TOLERANCES[name]) for name in PRESETS)],
+    [
+        ("", 1e-8),
+        ("tolerance = 1e-9", 1e-9),
+        *((f'preset = "{name}"', value) for name, value in PRESET_TOLERANCES.items()),
+    ],
 )
 def test_tolerance_that_holds(table: str, tolerance: float) -> None:
     assert parse_scene(CHAIN + "[accuracy]\n" + table).accuracy.relative_tolerance == tolerance
