@@ -36,7 +36,7 @@ from casadi_skin.fmu.initial_value_problem import (
     initial_value_problem,
 )
 from casadi_skin.fmu.instance import with_inputs
-from casadi_skin.model.arguments import check_name, file_path, truth
+from casadi_skin.model.arguments import check_name, new_file, truth
 from casadi_skin.model.files import replacing
 from casadi_skin.model.result import in_turn, renamed
 
@@ -257,13 +257,9 @@ def export_fmu(
         ValueError: An argument is out of range; no C can be generated of the model, or its equations jump; fmpy, which
             has the headers of the standard, or a C compiler is missing.
     """
-    target = file_path("path", path)
+    target = new_file("path", path, ".fmu")
     check_name("fmi", fmi, INTERFACE_SOURCES)
     truth("binary", binary)
-    if target.suffix != ".fmu":
-        raise ValueError(f"path: given {str(target)!r}; accepted: a file name that ends in .fmu")
-    if not target.parent.is_dir():
-        raise ValueError(f"path: no folder {str(target.parent)!r}; accepted: a file in a folder that is there")
     problem = with_inputs(initial_value_problem(source, start, mode, S, stop_time, tolerance), inputs)
     check_smooth(problem)
     files = contents(problem, fmi)

@@ -231,6 +231,18 @@ def file_path(name: str, value: object) -> Path:
     return Path(value)
 
 
+def new_file(name: str, value: object, suffix: str = "") -> Path:
+    """The value as the path of a file to be written; raises TypeError and ValueError where there can be none."""
+    target = file_path(name, value)
+    if suffix and target.suffix != suffix:
+        raise ValueError(f"{name}: given {target}; accepted: a name that ends in {suffix}")
+    if target.is_dir():
+        raise ValueError(f"{name}: given {target}, which is a directory; accepted: the path of a file")
+    if not target.parent.is_dir():
+        raise ValueError(f"{name}: given {target}, in no directory; accepted: a file in a directory that is there")
+    return target
+
+
 def check_way(
     start: float, to: object, back_to: object = None, at: object = ()
 ) -> tuple[float, float, tuple[float, ...]]:

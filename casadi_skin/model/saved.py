@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import casadi as ca
 import msgspec
 
-from casadi_skin.model.arguments import check_instance, cut, file_path, short_repr
+from casadi_skin.model.arguments import check_instance, cut, file_path, new_file, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.loading import read_source
 from casadi_skin.model.ode import OdeModel
@@ -74,12 +74,12 @@ def save_model(model: OdeModel, path: str | Path) -> Path:
 
     Raises:
         ValueError: The model's equations are not made of elementary operations alone, but of a program as in an FMU, of
-            tables, or of solutions of other equations.
+            tables, or of solutions of other equations; the path is a directory, or in none.
         TypeError: An argument is of another kind.
         OSError: The file cannot be written.
     """
     check_instance("model", model, OdeModel)
-    target, text = file_path("path", path), dumps(model)
+    target, text = new_file("path", path), dumps(model)
     with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return target

@@ -19,7 +19,7 @@ from casadi_skin.follow.family import Family
 from casadi_skin.follow.rest_space import EquilibriumSpace
 from casadi_skin.lattice.chain import Chain
 from casadi_skin.lattice.lattice import Lattice, LongLattice
-from casadi_skin.model.arguments import cut, file_path, in_words, short_repr
+from casadi_skin.model.arguments import cut, file_path, in_words, new_file, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.operations import from_operations, to_operations
@@ -64,12 +64,7 @@ def save_result(result: Any, path: str | Path) -> Path:
         TypeError: the argument is not a path.
         OSError: the file cannot be written.
     """
-    target = file_path("path", path)
-    if target.is_dir():
-        raise ValueError(f"path: given {target}, which is a directory; accepted: the path of a file")
-    if not target.parent.is_dir():
-        raise ValueError(f"path: given {target}, in no directory; accepted: a file in a directory that is there")
-    payload = msgspec.msgpack.encode(saved(result))
+    target, payload = new_file("path", path), msgspec.msgpack.encode(saved(result))
     with replacing(target) as temporary:
         temporary.write_bytes(framed(payload))
     return target

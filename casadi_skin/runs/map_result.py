@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.fmu.unzip import Archive
-from casadi_skin.model.arguments import check_name, cut, file_path, short_repr
+from casadi_skin.model.arguments import check_name, cut, file_path, new_file, short_repr
 from casadi_skin.model.files import TemporaryFolder, replacing
 from casadi_skin.model.result import WithVerbs, in_turn, renamed
 from casadi_skin.results import present
@@ -419,9 +419,7 @@ class Map(WithVerbs):
 
         Raises ValueError for the path of a directory or in none, OSError where the file cannot be written.
         """
-        target = file_path("path", path)
-        if target.is_dir() or not target.parent.is_dir():
-            raise ValueError(f"path: given {target}; accepted: the path of a file, in a directory that is there")
+        target = new_file("path", path)
         with replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as archive:
             for part in sorted(p for p in self.directory.iterdir() if _is_part(p.name)):
                 entry = zipfile.ZipInfo(part.name, FILE_DATE)

@@ -361,15 +361,12 @@ def tradeoff(arguments: argparse.Namespace) -> int:
 
 def _target(arguments: argparse.Namespace, default: Path, suffix: str = "") -> Path:
     """The file that a command writes; raises InputError where that cannot be."""
-    path: Path = arguments.out or default
-    if path.suffix != (suffix or path.suffix):
-        raise InputError(f"{arguments.command}: given --out {path}; accepted: a name that ends in {suffix}")
-    if path.is_dir():
-        raise InputError(f"{arguments.command}: given --out {path}, a directory; accepted: the name of a file")
-    if not path.parent.is_dir():
-        place = "--out in a directory that is there"
-        raise InputError(f"{arguments.command}: {path.parent} is no directory; accepted: {place}")
-    return path
+    from casadi_skin.model.arguments import new_file
+
+    try:
+        return new_file("--out", arguments.out or default, suffix)
+    except ValueError as error:
+        raise InputError(f"{arguments.command}: {error}") from None
 
 
 @command(

@@ -45,7 +45,7 @@ def test_a_new_scene_is_commented_and_can_be_meant(kind: str, here: Path, cli: C
     parse_scene(text)
     assert kind != "model" or cli("check", "model.toml", "--quiet") == (0, "", "")
     assert cli("new", kind).line == f"casadi-skin: new: {kind}.toml is there already; accepted: another --out\n"
-    for out, reason in (("a.txt", "ends in .toml"), ("no/a.toml", "no is no directory")):
+    for out, reason in (("a.txt", "ends in .toml"), ("no/a.toml", "--out: given no/a.toml, in no directory")):
         assert reason in cli("new", kind, "--out", out).line
 
 

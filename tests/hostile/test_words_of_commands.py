@@ -26,5 +26,5 @@ def test_a_long_word_is_cut(words: list[str], cli: Cli) -> None:
 def test_a_directory_is_no_file_to_write(words: list[str], cli: Cli, tmp_path: Path) -> None:
     folder = tmp_path / {"schema": "a", "explore": "a.html", "new": "a.toml"}[words[0]]
     folder.mkdir()
-    assert f"--out {folder}" in cli(*words, "--out", folder).line
+    assert f"--out: given {folder}" in cli(*words, "--out", folder).line
     assert list(tmp_path.iterdir()) == [folder]

@@ -506,8 +506,12 @@ def test_what_cannot_be_exported_is_refused_in_one_line(tmp_path: Path, monkeypa
     x, p = ca.SX.sym("x"), ca.SX.sym("p")
     cases = [
         ((CHAIN, path, "1.0"), {}, "fmi: given '1.0'; .*accepted: 2.0, 3.0"),
-        ((CHAIN, tmp_path / "chain.zip"), {}, "accepted: a file name that ends in .fmu"),
-        ((CHAIN, tmp_path / "none" / "chain.fmu"), {}, "accepted: a file in a folder that is there"),
+        ((CHAIN, tmp_path / "chain.zip"), {}, "accepted: a name that ends in .fmu"),
+        (
+            (CHAIN, tmp_path / "none" / "chain.fmu"),
+            {},
+            "in no directory; accepted: a file in a directory that is there",
+        ),
         ((Chain(float("inf"), 1.0, 0.2, 1.0), path), {}, "sites: given inf; accepted: a finite chain"),
         ((CHAIN, path), {"mode": 6}, "mode: given 6"),
         ((CHAIN, path), {"S": -1.0}, "S: given -1.0"),

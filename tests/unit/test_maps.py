@@ -171,7 +171,7 @@ def in_one_file(found: Map, folder: Path) -> None:
         with pytest.raises(ValueError, match=words) as error:
             read_map(folder / name)
         assert str(folder / name) in str(error.value)
-    with pytest.raises(ValueError, match="accepted: the path of a file, in a directory that is there"):
+    with pytest.raises(ValueError, match="which is a directory; accepted: the path of a file"):
         found.save(folder)
 
 
