@@ -21,17 +21,9 @@ from casadi_skin import (
     search_orbit,
     smallest_kick,
 )
-from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, cut, nearest, short_repr
+from casadi_skin.model.arguments import LONGEST_VALUE_TEXT, check_name, cut, short_repr
 
 NAMES = ("Omega", "S", "gamma", "participation")
-
-
-@pytest.mark.parametrize(
-    ("given", "near"),
-    [("omega", "Omega"), ("OMEGA", "Omega"), ("gama", "gamma"), ("Participaton", "participation"), ("period", None)],
-)
-def test_the_nearest_name_is_found_in_any_case_of_its_letters(given: str, near: str | None) -> None:
-    assert nearest(given, NAMES) == near
 
 
 @pytest.mark.parametrize(

@@ -213,14 +213,6 @@ def test_perturbations_have_the_size_asked_for(orbit: Orbit) -> None:
 # The exceptional point ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_at_gamma_one_the_edge_moves_alone_in_the_gauge(method: str) -> None:
-    t = np.linspace(0.0, 10.0, 51)
-    found = evolve(Chain(3, 1.0, 1.0, 1.0), [0.0, 0.0, 0.8], None, t, method)
-    np.testing.assert_allclose(found.displacements[:, 2], duffing_displacement(3.0, 1.0, 0.8, t), rtol=0, atol=1e-9)
-    assert not np.any(found.displacements[:, :2])
-
-
 @pytest.mark.parametrize("method", [pytest.param(m, marks=pytest.mark.slow) if m != "cvodes" else m for m in METHODS])
 def test_at_gamma_one_other_sites_move_in_physical_coordinates_only(method: str) -> None:
     chain, start, t = Chain(3, 1.0, -1.0, 1.0), [0.1, 0.4, -0.3], np.linspace(0.0, 10.0, 21)

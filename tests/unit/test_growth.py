@@ -57,16 +57,6 @@ def test_without_the_trivial_pair_growth_stays_bounded_and_the_pair_alone_grows_
     assert growth.log10_bounded[0] == pytest.approx(0.0, abs=1e-10)
 
 
-def test_growth_of_a_kick_from_the_far_end_reaches_the_skin_factor_and_not_from_the_near_one() -> None:
-    orbit = stable_orbit(24, 0.25)
-    growth = orbit.transient_growth(quarters=40)
-    factor = 23 * np.arctanh(0.25) / np.log(10.0)  # log10 of r^((N-1)/2)
-    far, near = np.zeros(48), np.zeros(48)
-    far[0], near[23] = 1.0, 1.0
-    assert factor - 0.2 < growth.of(far).max() < factor + 0.1
-    assert growth.of(near).max() < 0.3
-
-
 def test_long_and_steep_chains_do_not_overflow() -> None:
     orbit = stable_orbit(120, 0.9)
     growth = orbit.transient_growth(quarters=8)

@@ -137,15 +137,6 @@ def test_multipliers_across_jumps_in_time_are_those_of_matrix_exponentials(a, k,
     )
 
 
-def test_square_forcing_repeats_after_its_period():
-    model = forced(-1.7 * x - 0.2 * v + ca.sign(ca.sin(t)), "square")
-    orbit = find_orbit(model, lambda s: [np.sin(s), np.cos(s)], tolerance=1e-10)
-    exponents = np.linalg.eigvals([[0.0, 1.0], [-1.7, -0.2]])
-    assert orbit.floquet().multipliers == pytest.approx(np.exp(TWO_PI * exponents), rel=1e-9) or (
-        orbit.floquet().multipliers[::-1] == pytest.approx(np.exp(TWO_PI * exponents), rel=1e-9)
-    )
-
-
 def test_branch_ends_where_its_orbits_reach_a_jump():
     """x'' + 0.2 x' + x/2 + (1/2 where x > 1) = p cos t: amplitude p/|1/2 - 1 + 0.2i| is 1 at p = 0.5385."""
     model = forced(-0.5 * x - 0.2 * v - ca.if_else(x > 1, 0.5, 0) + p * ca.cos(t))
