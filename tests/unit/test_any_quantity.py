@@ -5,14 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from equilibrium_models import symbols
 from small_models import circles, van_der_pol, wave
 
 from casadi_skin import BoundaryValueProblem, Branch, OdeModel, find_equilibrium, find_orbit, follow_family
 from casadi_skin.results.quantities import extremes
-
-
-def symbols(names: str) -> list[ca.SX]:
-    return [ca.SX.sym(name) for name in names.split()]
 
 
 def hardening() -> Branch:

@@ -13,6 +13,7 @@ from marks import slow
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from PIL import Image
 
 from casadi_skin import Branch, Chain, follow_family
 from casadi_skin.lattice import closed_forms as multiple_scales
@@ -304,6 +305,21 @@ def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Ca
     assert len(list(tmp_path.iterdir())) == 6
     assert first[0].read_bytes().startswith(b"\x89PNG")
     assert b"<dc:date>" not in first[1].read_bytes()
+
+
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+@pytest.mark.parametrize("size", [(1.0, 0.5), (2.345, 1.077)])
+def test_other_readers_of_png_see_what_matplotlib_draws(size: tuple[float, float], tmp_path: Path) -> None:
+    figure = Figure(figsize=size)
+    figure.add_axes((0.1, 0.1, 0.8, 0.8)).plot([0.0, 1.0, 0.3], color="tab:red")
+    (path,) = save(figure, tmp_path / "own")
+    with style():
+        figure.savefig(tmp_path / "matplotlib.png", dpi=200)
+    with Image.open(path) as own, Image.open(tmp_path / "matplotlib.png") as other:
+        assert own.mode == "RGB"
+        assert own.info["dpi"] == pytest.approx((200.0, 200.0), abs=0.01)
+        assert np.array_equal(np.asarray(own), np.asarray(other)[..., :3])
+        assert np.ptp(np.asarray(own)) > 100
 
 
 def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from drawing import legend_labels, lines, overlaps, points, stretches
+from equilibrium_models import rosenzweig_macarthur
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
@@ -23,6 +24,7 @@ from casadi_skin import (
     Lattice,
     OdeModel,
     Site,
+    find_equilibrium,
     find_orbit,
     follow_family,
     simulate_orbit,
@@ -395,6 +397,33 @@ def test_films_of_every_kind_of_orbit_move(families: list[Branch], cycles: Branc
         assert len(pictures) == 4
         below_the_clock = [picture[picture.shape[0] // 3 :] for picture in pictures]
         assert np.abs(below_the_clock[0] - below_the_clock[1]).max() > 100, name
+
+
+@pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
+def test_a_film_repeats_and_shows_displacements_reversed_after_half_a_period(
+    families: list[Branch], tmp_path: Path
+) -> None:
+    orbit = families[0].at(0.5)
+    path = animate(orbit, tmp_path / "mode.gif", frames=4)
+    first, _, third, _ = frames(path)
+    assert np.abs(first - third).max() > 100
+    with Image.open(path) as film:
+        assert film.info["loop"] == 0
+    for name, count in (("mode.avi", 8), ("other.gif", 1)):
+        with pytest.raises(ValueError, match="accepted"):
+            animate(orbit, tmp_path / name, frames=count)
+    assert [p.name for p in tmp_path.iterdir()] == ["mode.gif"]
+
+
+def test_equilibria_are_points_of_the_portrait_and_more_than_six_are_refused() -> None:
+    start = find_equilibrium(rosenzweig_macarthur(), [1.0, 1.0], parameters={"K": 2.0})
+    other = find_equilibrium(rosenzweig_macarthur(), [1.0, 1.0], parameters={"K": 2.5})
+    in_time, in_plane = portrait_figure([start, other]).axes[:2]
+    assert [line.get_label() for line in in_time.lines] == ["K = 2, at rest", "K = 2.5, at rest"]
+    for line, equilibrium in zip(in_plane.lines, (start, other), strict=True):
+        np.testing.assert_allclose(line.get_xydata()[0], equilibrium.state)
+    with pytest.raises(ValueError, match="solutions: given 7; accepted: 1 to 6"):
+        portrait_figure([start] * 7)
 
 
 # Progress -------------------------------------------------------------------------------------------------------------
