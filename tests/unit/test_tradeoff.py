@@ -139,6 +139,22 @@ def test_a_page_says_what_is_not_as_it_should_be(more: list[Setting], words: str
     assert "Shooting is left out: 24 positions move" in recommendations(LONG, more, KNOWN, 45.0, 5)
 
 
+def test_settings_are_every_method_at_every_tolerance() -> None:
+    methods = [s.method for s in of_kind(tradeoff.settings_of(FAMILY, (1e-4,)), ORBITS)]
+    assert len(methods) == len(set(methods)) == 10
+    assert "shooting, arclength, newton" in methods
+    longer = of_kind(tradeoff.settings_of(LONG, tradeoff.MEASURED_TOLERANCES), ORBITS)
+    assert len(longer) == 8 * len(tradeoff.MEASURED_TOLERANCES)
+    assert not any("shooting" in s.method for s in longer)
+    quick = tradeoff.settings_of(FAMILY, tradeoff.QUICK_TOLERANCES)
+    assert len({s.method for s in of_kind(quick, FLOW)}) > 1
+    presets = of_kind(quick, PRESET)
+    assert [(s.method, s.tolerance) for s in presets] == [("draft", 1e-4), ("standard", 1e-8), ("reference", 1e-12)]
+    assert {(s.transcription, s.walker, s.corrector) for s in presets} == {("trigonometric", "series", "ipopt")}
+    lonely = family_request(Chain(1, 1.0, 0.0, -1.0), 1, 0.4, at=(0.2,))
+    assert not of_kind(tradeoff.settings_of(lonely, (1e-4,)), FLOW)
+
+
 @pytest.fixture(scope="module")
 def reference() -> Reference:
     return Reference(FAMILY)
@@ -175,6 +191,14 @@ def test_a_setting_is_measured_and_a_failure_is_a_line(reference: Reference) -> 
     assert failed.failure
     assert "\n" not in failed.failure
     assert isnan(failed.seconds)
+
+
+@pytest.mark.slow
+def test_memory_is_that_of_another_process() -> None:
+    held = np.ones(30_000_000)
+    assert held.nbytes / 1e6 < tradeoff.peak_memory()
+    started, followed = tradeoff.memory_of(None), tradeoff.memory_of(FAMILY)
+    assert 10 < started <= followed < tradeoff.peak_memory()
 
 
 def test_the_picture_shows_methods_presets_and_fronts() -> None:
