@@ -85,26 +85,25 @@ class Differences:
     largest_error: float = 0.0
 
     def moved(self, at: Array, scale: Array, columns: Columns) -> tuple[Array, Array]:
-        """Where a function is evaluated, (places, groups, 6, components), for derivatives at places, one a row.
+        """Where a function is evaluated, (groups, 6, places, components), for derivatives at places, one a row.
 
         And the steps of the components, which change by `scale`.
         """
         # Steps are powers of 2 times the same number for all of a group, so that quotients are exact.
         steps = np.exp2(np.round(np.log2(DIFFERENCE_STEP * np.maximum(np.abs(at), scale))))
-        along = STEP_FACTORS[:, None] * (columns.seeds * steps[:, None])[:, :, None]
-        return at[:, None, None] + along, steps
+        return at + STEP_FACTORS[:, None, None] * (columns.seeds[:, None, None] * steps), steps
 
     def quotients(self, values: Array, steps: Array, columns: Columns, sizes: Array, across: Array) -> Array:
-        """Non-zeros by columns, a row a place, from the values, (places, groups, 6, any).
+        """Non-zeros by columns, a row a place, from the values, (groups, 6, places, any).
 
         `sizes` are those of the values, `across` those of components.
         """
-        sums = np.moveaxis(EXTRAPOLATION_WEIGHTS @ values, 2, 0)
+        sums = np.tensordot(EXTRAPOLATION_WEIGHTS, values, (1, 1)).swapaxes(1, 2)
         both = sums[:, :, columns.owners, columns.rows] / steps[:, columns.columns]
         scaled = np.abs(both) * (across[columns.columns] / sizes[columns.rows])
         largest, error = np.max(scaled, axis=2, initial=0.0)
         # Of derivatives that vanish at a place the error is that of rounded values, relative to these.
-        largest = np.maximum(largest, np.max(np.abs(values) / sizes, axis=(1, 2, 3), initial=0.0))
+        largest = np.maximum(largest, np.max(np.abs(values) / sizes, axis=(0, 1, 3), initial=0.0))
         known = (largest > 0.0) & (largest < np.inf)
         self.largest_error = max(self.largest_error, float(np.max(error[known] / largest[known], initial=0.0)))
         return np.asarray(both[0])
@@ -164,37 +163,30 @@ class Derivatives:
         rows = (np.broadcast_to(a, (*shape, a.shape[-1])).reshape(count, a.shape[-1]) for a in (x, p))
         return self.instance.numbers(self.points, np.broadcast_to(t, shape).ravel(), *rows).reshape(*shape, self.size)
 
-    def states_jacobian(self, t: Array, x: Array, p: Array) -> Array:
-        """Non-zeros by columns of d value/d x."""
-        return self._states_jacobian(self.by_states, self._by_states, t, x, p)
+    def states_jacobian(self, t: Array, x: Array, p: Array, tried: tuple[Columns, str] | None = None) -> Array:
+        """Non-zeros by columns of d value/d x; in another way where that is tried."""
+        columns, how = tried or (self._by_states, self.by_states)
+        if how == "directional":
+            return self.instance.numbers(self._along_columns(columns, False), t, x, p)
+        self._seen = np.maximum(self._seen, np.max(np.abs(x), axis=0, initial=0.0))
+        return self._differences(1, self.scale, self._seen, columns, [t[:, None], x, p])
 
-    def parameters_jacobian(self, t: Array, x: Array, p: Array) -> Array:
-        """Entries by columns of d value/d p."""
-        return self._parameters_jacobian(self.by_parameters, t, x, p)
+    def parameters_jacobian(self, t: Array, x: Array, p: Array, tried: str = "") -> Array:
+        """Entries by columns of d value/d p; in another way where that is tried."""
+        if (tried or self.by_parameters) == "directional":
+            along = self._along_columns(self._by_states, True)
+            return self.instance.numbers(along, t, x, p)[:, along.ends[0] :]
+        return self._differences(2, self._given_scale, self._given_scale, self._everything, [t[:, None], x, p])
 
     def time_derivative(self, t: Array, x: Array, p: Array) -> Array:
         """d value/d t by differences."""
-        times, steps = self.difference.moved(t[:, None], np.ones(1), self._along_time)
-        values = self.values(times[..., 0], x[:, None, None], p[:, None, None])
-        return self.difference.quotients(values, steps, self._along_time, self.sizes, np.ones(1))
+        return self._differences(0, np.ones(1), np.ones(1), self._along_time, [t[:, None], x, p])
 
-    def _states_jacobian(self, how: str, columns: Columns, t: Array, x: Array, p: Array) -> Array:
-        if how == "directional":
-            return self.instance.numbers(self._along_columns(columns, False), t, x, p)
-        points, steps = self.difference.moved(x, self.scale, columns)
-        values = self.values(t[:, None, None], points, p[:, None, None])
-        self._seen = np.maximum(self._seen, np.max(np.abs(x), axis=0, initial=0.0))
-        return self.difference.quotients(values, steps, columns, self.sizes, self._seen)
-
-    def _parameters_jacobian(self, how: str, t: Array, x: Array, p: Array) -> Array:
-        if how == "directional":
-            along = self._along_columns(self._by_states, True)
-            return self.instance.numbers(along, t, x, p)[:, along.ends[0] :]
-        points, steps = self.difference.moved(p, self._given_scale, self._everything)
-        values = self.values(t, x, np.moveaxis(points, 0, 2))  # all places with the same shifted parameters together
-        return self.difference.quotients(
-            np.moveaxis(values, 2, 0), steps, self._everything, self.sizes, self._given_scale
-        )
+    def _differences(self, which: int, scale: Array, across: Array, columns: Columns, given: list[Array]) -> Array:
+        """Derivatives by one of the given times, states and parameters, which change by `scale` and are so large."""
+        given[which], steps = self.difference.moved(given[which], scale, columns)
+        t, x, p = given
+        return self.difference.quotients(self.values(t[..., 0], x, p), steps, columns, self.sizes, across)
 
     def _along_columns(self, columns: Columns, by_given: bool) -> Points:
         """Points for the FMU's derivatives along these columns, and along parameters and inputs where wanted."""
@@ -231,7 +223,7 @@ class Derivatives:
         for how in ("directional", "differences") if self.offered else ("differences",):
             for pattern in (self._declared, np.ones_like(self._declared)):
                 columns = Columns.of(pattern)
-                given = columns.dense(self._states_jacobian(how, columns, *trials)) @ directions.T
+                given = columns.dense(self.states_jacobian(*trials, (columns, how))) @ directions.T
                 if _agree(given, known, self.sizes[:, None]):
                     self.difference.largest_error = 0.0
                     return columns, how
@@ -239,22 +231,18 @@ class Derivatives:
 
     def _along(self, at: Place, directions: Array) -> Array:
         """Derivatives along directions by differences, (places, any, directions): an entry left out shows."""
-        (t, x, p), differences = at, Differences()
-        distances, steps = differences.moved(np.zeros((1, 1)), np.ones(1), self._along_time)
-        moved = x[:, None, None] + distances[0, 0] * directions[:, None]
-        values = self.values(t[:, None, None], moved, p[:, None, None])
-        found = (
-            differences.quotients(values[:, [k]], steps, self._along_time, self.sizes, np.ones(1))
-            for k in range(len(directions))
-        )
-        return np.stack(list(found), axis=2)
+        t, x, p = (np.repeat(each, len(directions), axis=0) for each in at)
+        distances, steps = Differences().moved(np.zeros((len(t), 1)), np.ones(1), self._along_time)
+        values = self.values(t, x + distances * np.tile(directions, (len(at[0]), 1)), p)
+        found = Differences().quotients(values, steps, self._along_time, self.sizes, np.ones(1))
+        return found.reshape(len(at[0]), len(directions), self.size).swapaxes(1, 2)
 
     def _chosen_for_parameters(self, trials: Place) -> str:
         if not (self.by_states == "directional" and all(element.tunable for element in self.instance.given)):
             return "differences"
-        known = self._parameters_jacobian("differences", *trials)
+        known, given = (self.parameters_jacobian(*trials, how) for how in ("differences", "directional"))
         sizes = self.sizes[self._everything.rows] / self._given_scale[self._everything.columns]
-        if not _agree(self._parameters_jacobian("directional", *trials), known, sizes):
+        if not _agree(given, known, sizes):
             return "differences"
         self.difference.largest_error = 0.0
         return "directional"
