@@ -59,13 +59,9 @@ class InitialValueProblem:
 
 
 def initial_value_problem(
-    source: object,
-    start: ArrayLike | None,
-    mode: int | str | None,
-    S: float | None,
-    stop_time: float | None,
+    source: object, start: ArrayLike | None, mode: int | str | None, S: float | None, stop_time: float | None,
     tolerance: float,
-) -> InitialValueProblem:
+) -> InitialValueProblem:  # fmt: skip
     """The initial-value problem of `export_fmu`; raises TypeError and ValueError as that does."""
     if stop_time is not None and number("stop_time", stop_time, "a finite number > 0") <= 0:
         raise ValueError(f"stop_time: given {stop_time!r}; accepted: a finite number > 0")
@@ -73,9 +69,8 @@ def initial_value_problem(
     if not isinstance(source, Chain):
         for name, given in (("mode", mode), ("S", S)):
             if given is not None:
-                raise ValueError(
-                    f"{name}: given {short_repr(given)}; accepted: with a Chain, which starts from a linear mode"
-                )
+                accepted = "accepted: with a Chain, which starts from a linear mode"
+                raise ValueError(f"{name}: given {short_repr(given)}; {accepted}")
     if isinstance(source, OdeModel):
         return _of_model(source, start, source.nominal, stop_time, tolerance)
     if isinstance(source, Orbit):
@@ -143,16 +138,10 @@ def chain_with_outputs(chain: Chain) -> OdeModel:
     names = [f"{letter}_{n}" for letter in "yv" for n in range(1, sites + 1)]
     conserved = {} if abs(chain.gamma) == 1 else {"energy": _energy(y, v, alpha, gamma, g)}
     return OdeModel(
-        name="chain",
-        state=x,
-        rhs=ca.vertcat(v, force),
-        parameters=p,
-        outputs=conserved | {"S": ca.sumsqr(y)},
-        nominal=(chain.alpha, chain.gamma, chain.g),
-        state_labels=tuple(names),
-        parameter_labels=("alpha", "gamma", "g"),
-        checked=False,
-    )
+        "chain", x, ca.vertcat(v, force), p, outputs=conserved | {"S": ca.sumsqr(y)},
+        nominal=(chain.alpha, chain.gamma, chain.g), state_labels=tuple(names),
+        parameter_labels=("alpha", "gamma", "g"), checked=False,
+    )  # fmt: skip
 
 
 def _energy(y: ca.MX, v: ca.MX, alpha: ca.MX, gamma: ca.MX, g: ca.MX) -> ca.MX:
@@ -179,9 +168,7 @@ def _linear_mode(chain: Chain, mode: int | str, S: float) -> Array:
     return np.asarray(np.sqrt(S) * chain.linear_spectrum().mode(chain.mode_number(mode)))
 
 
-def _of_chain(
-    chain: Chain, start: ArrayLike, sizes: ArrayLike, stop_time: float, tolerance: float
-) -> InitialValueProblem:
+def _of_chain(chain: Chain, start: ArrayLike, sizes: ArrayLike, stop: float, tolerance: float) -> InitialValueProblem:
     sites = chain.sites
     given, numbered = _start(start, sites, 2 * sites), range(1, sites + 1)
     meanings = {f"y_{n}": f"displacement of site {n}" for n in numbered}
@@ -194,7 +181,7 @@ def _of_chain(
         "S": "sum of the squared displacements",
     }
     full, values = (*given, *(0.0,) * sites)[: 2 * sites], tuple(chain.parameters.values())
-    problem = _of_model(chain_with_outputs(chain), full, values, stop_time, tolerance, sizes)
+    problem = _of_model(chain_with_outputs(chain), full, values, stop, tolerance, sizes)
     words = f"Nonreciprocal Klein-Gordon chain of {sites} sites, fixed ends (arXiv:2512.17483, Eq. 1)"
     return replace(problem, description=words, chain=True, bounds={"gamma": (-1.0, 1.0)}, meanings=meanings)
 
@@ -203,13 +190,9 @@ def _of_chain(
 
 
 def _of_model(
-    model: OdeModel,
-    start: ArrayLike | None,
-    values: tuple[float, ...] | None,
-    stop_time: float | None,
-    tolerance: float,
-    sizes: ArrayLike | None = None,
-) -> InitialValueProblem:
+    model: OdeModel, start: ArrayLike | None, values: tuple[float, ...] | None, stop_time: float | None,
+    tolerance: float, sizes: ArrayLike | None = None,
+) -> InitialValueProblem:  # fmt: skip
     count = model.full_size
     if model.parameter_names and values is None:
         raise ValueError(f"{model.name}: no nominal values of {', '.join(model.parameter_names)}; accepted: one each")
@@ -219,24 +202,13 @@ def _of_model(
     names += [*model.parameter_names, *model.outputs, "time"]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ValueError(
-            f"{model.name}: several variables named {', '.join(twice)}; accepted: a name each ('time' is t)"
-        )
+        named = f"several variables named {', '.join(twice)}"
+        raise ValueError(f"{model.name}: {named}; accepted: a name each ('time' is t)")
     full = given + (0.0,) * (count - len(given))
-    largest = max(map(abs, full)) or 1.0
-    return InitialValueProblem(
-        model=model,
-        description=model.name,
-        start=full,
-        parameters=parameters,
-        nominals=_nominals([largest] * count if sizes is None else sizes),
-        stop_time=_default_stop(model, parameters) if stop_time is None else stop_time,
-        tolerance=tolerance,
-    )
-
-
-def _default_stop(model: OdeModel, parameters: Iterable[float]) -> float:
-    return DEFAULT_PERIODS * abs(model.forcing_period_at(list(parameters))) if model.forced else float(DEFAULT_PERIODS)
+    nominals = _nominals([max(map(abs, full)) or 1.0] * count if sizes is None else sizes)
+    if stop_time is None:
+        stop_time = DEFAULT_PERIODS * (abs(model.forcing_period_at(list(parameters))) if model.forced else 1.0)
+    return InitialValueProblem(model, model.name, full, parameters, nominals, stop_time, tolerance)
 
 
 def _start(given: ArrayLike, *counts: int) -> tuple[float, ...]:
@@ -268,9 +240,8 @@ class Equations:
         """Function (t, x, p) -> (x', y)."""
         outputs = list(self.model.outputs.values())
         empty = type(self.model.state)(0, 1)
-        return self.model.function(
-            "both", ca.densify(self.model.full_rhs), ca.densify(ca.vertcat(*outputs)) if outputs else empty
-        )
+        values = ca.densify(ca.vertcat(*outputs)) if outputs else empty
+        return self.model.function("both", ca.densify(self.model.full_rhs), values)
 
     @cached_property
     def functions(self) -> tuple[ca.Function, ...]:
@@ -339,9 +310,8 @@ def check_smooth(problem: InitialValueProblem) -> None:
 
 def _jumps(found: Sequence[Switch]) -> list[str]:
     """Names of operations that jump, if_else before the comparison in it."""
-    return sorted(
-        {switch.name for switch in found if switch.name in OPERATION_NAMES.values()}, key=lambda name: name != "if_else"
-    )
+    names = {switch.name for switch in found} & set(OPERATION_NAMES.values())
+    return sorted(names, key=lambda name: name != "if_else")
 
 
 # The header ---------------------------------------------------------------------------------------------------------

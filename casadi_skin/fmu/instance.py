@@ -163,25 +163,27 @@ class FmuInstance:
         """
         if not self._finalizer.alive:
             raise ValueError(f"{self.path}: closed; accepted: calls before that")
-        component, fresh = self._spare()
+        component, start = self._spare()
         try:
-            (component.restart if fresh else component.change)(held)
+            start(held)
         except self._failure as error:
             self._failed(component, error)
             return None
         self._components[key] = component
         return component
 
-    def _spare(self) -> tuple[Component, bool]:
-        """An instance that is new, or the one that has had its parameters longest; and whether it is new."""
+    def _spare(self) -> tuple[Component, Callable[[Array], None]]:
+        """An instance that is new, or the one that has had its parameters longest; and what gives it others."""
         if len(self._components) < self._most:
             try:
-                return self._instantiated(), True
+                new = self._instantiated()
+                return new, new.restart
             except ValueError:  # the instances that there are do as well
                 if not self._components:
                     raise
                 self._most = len(self._components)
-        return self._components.pop(next(iter(self._components))), False
+        longest = self._components.pop(next(iter(self._components)))
+        return longest, longest.change
 
     def _failed(self, component: Component, error: Any) -> None:
         """Keep the message; initialise the instance anew unless the FMU only discards values."""
@@ -245,13 +247,9 @@ def with_inputs(problem: InitialValueProblem, names: object) -> InitialValueProb
     values = known | dict.fromkeys((name for name in names if name not in known), 0.0)
     chosen = {name: force for name, force in forces.items() if name in names and name not in known}
     model = _forced(problem.model, (*held, *names), chosen)
-    return replace(
-        problem,
-        model=model,
-        parameters=tuple(values[name] for name in model.parameter_names),
-        inputs=tuple(names),
-        meanings=dict(problem.meanings) | {name: force.meaning for name, force in chosen.items()},
-    )
+    meanings = dict(problem.meanings) | {name: force.meaning for name, force in chosen.items()}
+    parameters = tuple(values[name] for name in model.parameter_names)
+    return replace(problem, model=model, parameters=parameters, inputs=tuple(names), meanings=meanings)
 
 
 def forces_of(problem: InitialValueProblem) -> Mapping[str, Force]:
@@ -285,22 +283,11 @@ def _forced(model: OdeModel, names: Sequence[str], forces: Mapping[str, Force]) 
     rate, factors = found[0], found[1 + len(outputs) :]
     for (name, force), factor in zip(forces.items(), factors, strict=True):
         rate[force.row] += factor * places[name]
+    period = model.forcing_period
+    if isinstance(period, ca.SX | ca.MX):  # in the new parameters
+        period = ca.Function("T", [model.parameters], [period]).call([own], True, False)[0]
     return OdeModel(
-        name=model.name,
-        state=x,
-        rhs=rate,
-        parameters=p,
-        time=model.time,
-        forcing_period=_period(model, own),
-        outputs=dict(zip(model.outputs, found[1 : 1 + len(outputs)], strict=True)),
-        state_labels=model.state_names,
-        parameter_labels=tuple(names),
+        model.name, x, rate, p, time=model.time, forcing_period=period, state_labels=model.state_names,
+        outputs=dict(zip(model.outputs, found[1 : 1 + len(outputs)], strict=True)), parameter_labels=tuple(names),
         checked=False,
-    )
-
-
-def _period(model: OdeModel, own: Expression) -> Expression | float | None:
-    """The forcing's period in the new parameters."""
-    if not isinstance(model.forcing_period, ca.SX | ca.MX):
-        return model.forcing_period
-    return ca.Function("T", [model.parameters], [model.forcing_period]).call([own], True, False)[0]
+    )  # fmt: skip

@@ -189,22 +189,13 @@ def _model(instance: FmuInstance, choices: FmuChoices, signals: Mapping[str, Sig
     given = ca.vertcat(p, *inputs) if inputs else p
     results = [call(t if forced else 0.0, x[back], given) for call in functions]
     return FmuModel(
-        name=str(variables.description.modelName),
-        state=x,
-        rhs=results[0][variables.order],
-        parameters=p,
-        time=t if forced else None,
-        forcing_period=choices.forcing_period,
+        str(variables.description.modelName), x, results[0][variables.order], p, time=t if forced else None,
+        forcing_period=choices.forcing_period, nominal=tuple(instance.start_given[:count].tolist()), checked=False,
         outputs={element.name: results[1][i] for i, element in enumerate(shown)},
-        nominal=tuple(float(v) for v in instance.start_given[:count]),
-        state_labels=tuple(variables.states[i].name for i in variables.order),
-        parameter_labels=choices.parameters,
-        checked=False,
-        start_state=tuple(float(instance.start[i]) for i in variables.order),
-        instance=instance,
-        functions=tuple(functions),
+        state_labels=tuple(variables.states[i].name for i in variables.order), parameter_labels=choices.parameters,
+        start_state=tuple(instance.start[variables.order].tolist()), instance=instance, functions=tuple(functions),
         signals=ca.Function("signals", [t], [ca.vertcat(*inputs) if inputs else ca.MX(0, 1)]),
-    )
+    )  # fmt: skip
 
 
 def signal_at(name: str, signal: Signal, t: ca.MX, period: float | None) -> ca.MX:

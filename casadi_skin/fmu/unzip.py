@@ -22,14 +22,8 @@ MOST_FILES = 20_000
 LONGEST_DIRECTORY = 1 << 22  # bytes of the list of files
 COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of the FMI standard
 DAMAGED_ARCHIVE_ERRORS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    OSError,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-)
+    zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError,
+)  # fmt: skip
 
 
 class Archive:
