@@ -424,7 +424,5 @@ def nearest_first(name: str, names: Sequence[str], none: str = "none, the FMU ha
     """The names that there are, the nearest first, few of many; words where there are none."""
     near = nearest(name, names)
     listed = sorted(names, key=lambda other: other != near)
-    return (
-        ", ".join(listed[:MOST_LISTED]) + (f" and {len(listed) - MOST_LISTED} more" if listed[MOST_LISTED:] else "")
-        or none
-    )
+    more = f" and {len(listed) - MOST_LISTED} more" if listed[MOST_LISTED:] else ""
+    return ", ".join(listed[:MOST_LISTED]) + more or none

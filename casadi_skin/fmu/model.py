@@ -210,9 +210,8 @@ def signal_at(name: str, signal: Signal, t: ca.MX, period: float | None) -> ca.M
         return expression
     if period is None:
         raise ValueError(f"inputs, {name}: given a function of time; accepted: with forcing_period=")
-    now, later = (
-        np.array([float(ca.Function("u", [t], [expression])(s + at)) for at in _COMPARED_TIMES]) for s in (0, period)
-    )
+    values = ca.Function("u", [t], [expression])
+    now, later = (np.array([float(values(s + at)) for at in _COMPARED_TIMES]) for s in (0, period))
     if not np.allclose(now, later, rtol=PERIODIC_RTOL, atol=PERIODIC_RTOL * max(1.0, float(np.abs(now).max()))):
         raise ValueError(f"inputs, {name}: given a signal that has not the period {period:g}; accepted: one that has")
     return expression
@@ -299,16 +298,11 @@ def identity(model: FmuModel) -> dict[str, Any]:
     times = [k / SAMPLES_PER_PERIOD * (choices.forcing_period or 0.0) for k in range(SAMPLES_PER_PERIOD)]
     signals = np.array([np.array(model.signals(t)).ravel() for t in times])
     return {
-        "name": model.name,
-        "token": str(token),
-        "hash": model.instance.digest,
-        "states": list(model.state_names),
-        "parameters": list(model.parameter_names),
-        "inputs": list(choices.inputs),
-        "signals": signals.ravel().tolist(),
-        "forcing_period": choices.forcing_period,
+        "name": model.name, "token": str(token), "hash": model.instance.digest, "states": list(model.state_names),
+        "parameters": list(model.parameter_names), "inputs": list(choices.inputs),
+        "signals": signals.ravel().tolist(), "forcing_period": choices.forcing_period,
         "derivatives": [model.derivatives, model.parameter_derivatives],
-    }
+    }  # fmt: skip
 
 
 def noises(model: FmuModel) -> list[float]:

@@ -95,11 +95,16 @@ class Formulation:
             return self.field_function
         return ca.Function("values", self._arguments, [ca.densify(self.field)])
 
+    def buffers(self, function: ca.Function, places: int) -> Buffers:
+        """One of these functions at so many places; programs that it calls take all of them at once."""
+        if function not in self._calls:
+            self._calls[function] = Calls.of(function, self.programs)
+        calls = self._calls[function]
+        return Buffers(function, places) if calls is None else CallingBuffers(calls, places)
+
     @cached_property
-    def calls(self) -> tuple[Calls | None, Calls | None]:
-        """Calls of programs in the field with its derivatives, and in its values alone."""
-        first, second = (Calls.of(function, self.programs) for function in (self.field_function, self.values_function))
-        return first, second
+    def _calls(self) -> dict[ca.Function, Calls | None]:
+        return {}
 
     @cached_property
     def integrand_function(self) -> ca.Function:
@@ -247,14 +252,12 @@ class Discretisation:
         self._m, self.table, self.formulation = int(formulation.scalars.numel()), table, formulation
         self._states = self._n * (intervals * self._R + 1)
         places = intervals * self._d + 1  # the stages, or the check points
-        with_derivatives, values = formulation.calls
-        self._field = _buffers(formulation.field_function, with_derivatives, places)
-        self._values = self._field
-        if formulation.values_function is not formulation.field_function:
-            self._values = _buffers(formulation.values_function, values, places)
+        field, values = formulation.field_function, formulation.values_function
+        self._field = formulation.buffers(field, places)
+        self._values = self._field if values is field else formulation.buffers(values, places)
         self._conditions = formulation.condition_buffers
         self._integrals = formulation.integrals
-        self._integrands = Buffers(formulation.integrand_function, places) if self._integrals else None
+        self._integrands = formulation.buffers(formulation.integrand_function, places) if self._integrals else None
         self._counts = counts = int(formulation.conditions.numel()), formulation.integrals
         self.equations = self._states - self._n + sum(counts)
         sizes = self._n, intervals, table.stages, self._R, self._m
@@ -412,10 +415,6 @@ class Discretisation:
         if self._integrands is None:
             return field, np.zeros((len(field), 0))
         return field, self._integrands(*arguments)[0].reshape(-1, self._integrals).copy()
-
-
-def _buffers(function: ca.Function, calls: Calls | None, places: int) -> Buffers:
-    return Buffers(function, places) if calls is None else CallingBuffers(calls, places)
 
 
 def missed(equations: Discretisation, z: Array, numbers: Array) -> tuple[Array, Array]:
