@@ -44,7 +44,6 @@ from casadi_skin.model.result import in_turn, renamed
 
 STRUCTURED_NAME = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?", re.ASCII)
 DIMENSIONLESS = {"unit": "1"}
-MOST_REFERENCES = (1 << 31) - 1  # value references have 32 bits, and are numbers of an enum of C
 COMMUNICATION_STEPS = 500  # of communication, in the default experiment
 Fmi = Literal["3.0", "2.0"]
 
@@ -68,10 +67,9 @@ class Variable:
     @property
     def words(self) -> dict[str, str]:
         """Attributes of any variable."""
-        known = {key: getattr(self, key) for key in ("causality", "variability", "initial", "description")}
-        return {"name": self.name, "valueReference": str(self.reference)} | {
-            k: word for k, word in known.items() if word
-        }
+        words = {key: getattr(self, key) for key in ("causality", "variability", "initial", "description")}
+        known = {key: word for key, word in words.items() if word}
+        return {"name": self.name, "valueReference": str(self.reference)} | known
 
     @property
     def numbers(self) -> dict[str, str]:
@@ -109,8 +107,6 @@ class Description:
             add(name, kind, initial, kind, start=value, **limits)
         for name in model.outputs:
             add(name, "output", "calculated", "output")
-        if len(found) > MOST_REFERENCES:
-            raise ValueError(f"{model.name}: {len(found)} variables; accepted: up to {MOST_REFERENCES}")
         return found
 
     @cached_property
