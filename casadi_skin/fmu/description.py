@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.etree import ElementTree as ET
 from xml.parsers.expat import ParserCreate
 
 import numpy as np
@@ -79,6 +80,13 @@ class Unpacked:
     remove: Callable[[], object]
     digest: str = ""
     kind: str = MODEL_EXCHANGE
+
+    @property
+    def offers_derivatives(self) -> bool:
+        """Whether the FMU says that it has directional derivatives; fmpy does not keep that flag of FMI 3.0."""
+        exchange = ET.parse(self.folder / DESCRIPTION_FILE).getroot().find("ModelExchange")
+        flags = ("providesDirectionalDerivatives", "providesDirectionalDerivative")
+        return exchange is not None and any(exchange.get(flag) in ("true", "1") for flag in flags)
 
 
 def unpack(path: str | Path, kind: str = MODEL_EXCHANGE) -> Unpacked:
@@ -152,11 +160,9 @@ class _Counter:
         self.states += self.open[1:] == ["ModelStructure", "Derivatives"] or name == "ContinuousStateDerivative"
         self.open.append(name)
         for count, most, what in (
-            (self.elements, MOST_ELEMENTS, "elements"),
-            (self.variables, MOST_VARIABLES, "variables"),
-            (self.states, MOST_STATES, "states"),
-            (len(self.open), DEEPEST_XML, "elements within each other"),
-        ):
+            (self.elements, MOST_ELEMENTS, "elements"), (self.variables, MOST_VARIABLES, "variables"),
+            (self.states, MOST_STATES, "states"), (len(self.open), DEEPEST_XML, "elements within each other"),
+        ):  # fmt: skip
             if count > most:
                 raise ValueError(f"refused, more than {most} {what}")
 
@@ -316,6 +322,11 @@ class Variables:
             if name in self.choices.parameters:
                 raise ValueError(f"inputs: given {name!r}, which is among parameters; accepted: one of them")
         return tuple(found)
+
+    @cached_property
+    def held(self) -> tuple[Element, ...]:
+        """Those of them that stay the same along a solution."""
+        return tuple(element for element in self.given if not element.is_input)
 
     @cached_property
     def order(self) -> list[int]:

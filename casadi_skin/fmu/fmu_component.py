@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casadi_skin.fmu.description import Array, Element, Group, Unpacked, fmpy_package
-from casadi_skin.native import Structure, kernels
+from casadi_skin.fmu.description import Array, Group, Unpacked, Variables, fmpy_package
+from casadi_skin.native import Indices, Structure, kernels
 
 MOST_EVENT_ITERATIONS = 100
 MOST_COMPLAINTS = 20
@@ -31,7 +30,6 @@ COMPONENT_FUNCTIONS = (  # the first ones in the order of native/fmus.c
 COMPONENT, GROUP = "iiiiiiiiii", "iia"
 POINTS = "aaa" + 3 * GROUP + "i" + "iaa" + "iaa" + "a"
 MOST_POINTS, MOST_NUMBERS = 256, 1 << 20  # of one call, whose numbers stay in the memory of points
-Places = NDArray[np.int64]
 NONE = Group.of(())
 _Doubles = ctypes.POINTER(ctypes.c_double)
 
@@ -66,21 +64,19 @@ def instantiated(unpacked: Unpacked, complaints: deque[str]) -> Any:
 
 
 class Component:
-    """An instance of a binary with the values of the parameters `held`, at a time, a state and inputs.
+    """An instance of a binary with values of its parameters that a model has too, at a time, a state and inputs.
 
     Methods raise fmpy's error where the binary does not answer; then `restart` is called before anything else.
     """
 
-    def __init__(
-        self, unpacked: Unpacked, complaints: deque[str], states: int, held: tuple[Element, ...], indicators: int
-    ) -> None:  # fmt: skip
-        self._unpacked, self._complaints = unpacked, complaints
+    def __init__(self, unpacked: Unpacked, complaints: deque[str], variables: Variables) -> None:
+        self._unpacked, self._complaints, self._n = unpacked, complaints, len(variables.states)
         self._two = str(unpacked.description.fmiVersion).startswith("2")
-        self._held = Group.of(held)
+        self._held = Group.of(variables.held)
         # An event elsewhere than at the start would decide anew by which equations it goes on.
-        self._tunable = all(element.tunable for element in held) and not indicators
-        self.positive = np.zeros(indicators, dtype=bool)  # event indicators at the start; zeros are negative in FMI
-        self._n = states
+        self._tunable = all(element.tunable for element in variables.held) and not variables.indicators
+        # Event indicators at the start; zeros are negative in FMI.
+        self.positive = np.zeros(len(variables.indicators), dtype=bool)
         self._instantiate()
 
     def _instantiate(self) -> None:
@@ -196,7 +192,7 @@ class Points:
 
     def __init__(
         self, sizes: tuple[int, int], moved: Group, wanted: Group | None, known: Group, seeds: Array | None,
-        parts: Sequence[Places], indicators: int,
+        parts: Sequence[Indices], indicators: int,
     ) -> None:  # fmt: skip
         states, parameters = sizes
         self.indicators = indicators

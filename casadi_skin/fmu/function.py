@@ -14,14 +14,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from casadi_skin.fmu.description import Array, Element, Group, Pattern
 from casadi_skin.fmu.fmu_component import MOST_NUMBERS, Points
 from casadi_skin.fmu.instance import Bytes, FmuInstance
+from casadi_skin.native import Indices
 
-Indices = NDArray[np.int64]
 Place = tuple[Array, Array, Array]  # t, x, p, one place a row
 
 # With steps h, 2h, 4h extrapolated: the error h^4 that the estimate sees and round-off eps/h are in balance there.
@@ -267,9 +266,8 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
         sizes = (1, len(derivatives.instance.variables.states), len(derivatives.instance.given))
         self._zeros = [np.zeros(size) for size in sizes]
         self._given = [dense(size, 1) for size in (*sizes, *([rows] if of_jacobian else []))]
-        self.jacobian_function: Any = (
-            None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
-        )
+        jacobian = None if of_jacobian else FmuFunction(f"{name}_jacobian", derivatives, forced, True)
+        self.jacobian_function: Any = jacobian
         self._results: tuple[ca.Sparsity, ...] = (dense(rows, 1),)
         self._values: tuple[Callable[[Array, Array, Array], Array], ...] = (derivatives.values,)
         # Points for results from number `first` on, by whether those by parameters are among them.
@@ -313,11 +311,9 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
 
     def at_places(self, given: Sequence[Array], wanted: Sequence[bool]) -> list[Array]:
         """The non-zeros of the results at places, one a row; zeros where they are not wanted."""
-        found, most = (
-            [np.zeros((len(given[0]), result.nnz())) for result in self._results],
-            self.derivatives.most_places,
-        )
-        for first in range(0, len(given[0]), most):
+        count, most = len(given[0]), self.derivatives.most_places
+        found = [np.zeros((count, result.nnz())) for result in self._results]
+        for first in range(0, count, most):
             rows = slice(first, first + most)
             t, x, p = (array[rows] for array in given[:3])
             for k, values in self._wanted(t[:, 0], x, p, wanted).items():

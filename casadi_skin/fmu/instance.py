@@ -16,20 +16,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_skin.fmu.description import Array, Group, Pattern, Unpacked, Variables, nearest_first
-from casadi_skin.fmu.fmu_component import (
-    DISCARD_STATUS,
-    MOST_COMPLAINTS,
-    NONE,
-    Component,
-    Places,
-    Points,
-    call_error,
-    refused,
-)
+from casadi_skin.fmu.fmu_component import DISCARD_STATUS, MOST_COMPLAINTS, NONE, Component, Points, call_error, refused
 from casadi_skin.fmu.initial_value_problem import InitialValueProblem
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.native import Indices
 
 SHIFTED_SETS = 6  # sets of values that differences with three steps take for each parameter
 MOST_COMPONENTS = 64
@@ -45,12 +37,10 @@ class FmuInstance:
     """
 
     def __init__(self, unpacked: Unpacked, variables: Variables) -> None:
-        self.path, self.folder, self.variables = unpacked.path, unpacked.folder, variables
-        self.digest = unpacked.digest
-        self.given = variables.given
+        self.path, self.unpacked, self.variables, self.given = unpacked.path, unpacked, variables, variables.given
         self._failure = call_error()
         self._lock = threading.Lock()  # two threads of a map must not set the one state
-        self._unpacked, self.complaints = unpacked, deque[str](maxlen=MOST_COMPLAINTS)
+        self.complaints = deque[str](maxlen=MOST_COMPLAINTS)
         self._moved = np.array([k for k, e in enumerate(self.given) if e.is_input], dtype=int)
         self._held = np.array([k for k, e in enumerate(self.given) if not e.is_input], dtype=int)
         once = unpacked.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
@@ -61,7 +51,7 @@ class FmuInstance:
         count = len(variables.indicators)
         self._indicators = self.points(None, parts=(np.arange(count),), indicators=count)
         self.start_given = np.array([element.start for element in self.given])
-        component = self._instantiated()
+        component = Component(unpacked, self.complaints, variables)
         held = self.start_given[self._held]
         self._components[held.tobytes()] = component
         try:
@@ -78,7 +68,7 @@ class FmuInstance:
 
     def points(
         self, wanted: Group | None, known: Group = NONE, seeds: Array | None = None,
-        parts: Sequence[Places] | None = None, indicators: int = 0,
+        parts: Sequence[Indices] | None = None, indicators: int = 0,
     ) -> Points:  # fmt: skip
         """Points for numbers of `wanted`, or their directional derivatives along the rows of `seeds`, or indicators.
 
@@ -116,10 +106,8 @@ class FmuInstance:
     def indicators(self, t: Array, x: Array, p: Array) -> tuple[Array, Pattern]:
         """Event indicators at points, one a row of all of these, and which of them are positive at the FMU's start."""
         values = self.numbers(self._indicators, t, x, p)
-        known = (self._components.get(held.tobytes()) for held in p[:, self._held])
-        return values, np.array(
-            [v > 0.0 if one is None else one.positive for one, v in zip(known, values, strict=True)]
-        )
+        known = zip((self._components.get(held.tobytes()) for held in p[:, self._held]), values, strict=True)
+        return values, np.array([here > 0.0 if one is None else one.positive for one, here in known])
 
     def _compute(self, at: Points, rows: int) -> None:
         """The numbers of the first points: those of the same parameters in one call."""
@@ -151,11 +139,6 @@ class FmuInstance:
 
     # Instances --------------------------------------------------------------------------------------------------------
 
-    def _instantiated(self) -> Component:
-        held = tuple(self.given[k] for k in self._held)
-        sizes = len(self.variables.states), held, len(self.variables.indicators)
-        return Component(self._unpacked, self.complaints, *sizes)
-
     def _at(self, key: bytes, held: Array) -> Component | None:
         """An instance that gets the parameters of this key; None where the FMU refuses them.
 
@@ -176,7 +159,7 @@ class FmuInstance:
         """An instance that is new, or the one that has had its parameters longest; and what gives it others."""
         if len(self._components) < self._most:
             try:
-                new = self._instantiated()
+                new = Component(self.unpacked, self.complaints, self.variables)
                 return new, new.restart
             except ValueError:  # the instances that there are do as well
                 if not self._components:

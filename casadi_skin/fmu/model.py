@@ -12,24 +12,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
-from xml.etree import ElementTree as ET
 
 import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq, minimize_scalar
 
-from casadi_skin.fmu.description import (
-    DESCRIPTION_FILE,
-    Array,
-    FmuChoices,
-    FmuWarning,
-    Pattern,
-    Unpacked,
-    Variables,
-    read_description,
-    unpack,
-)
+from casadi_skin.fmu.description import FmuChoices, FmuWarning, Pattern, Unpacked, Variables, read_description, unpack
 from casadi_skin.fmu.function import DIFFERENCE_STEP, Derivatives, FmuFunction
 from casadi_skin.fmu.instance import FmuInstance
 from casadi_skin.model.arguments import by_name, file_path, number, short_repr
@@ -37,6 +26,7 @@ from casadi_skin.model.expressions import expression_of
 from casadi_skin.model.jumps import STATE, Jumps, Switch
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.result import in_turn
+from casadi_skin.native import Array
 from casadi_skin.native.programs import Program
 
 Signal: TypeAlias = float | Callable[[Any], Any]
@@ -179,7 +169,7 @@ def _model(instance: FmuInstance, choices: FmuChoices, signals: Mapping[str, Sig
     inputs = [signal_at(name, signals[name], t, choices.forcing_period) for name in choices.inputs]
     if not forced:
         _check_autonomous(instance, [float(ca.evalf(value)) for value in inputs])
-    offered = _offers_derivatives(instance)
+    offered = instance.unpacked.offers_derivatives
 
     functions = [FmuFunction("fmu_derivatives", Derivatives(instance, None, offered), forced)]
     shown = variables.outputs
@@ -215,13 +205,6 @@ def signal_at(name: str, signal: Signal, t: ca.MX, period: float | None) -> ca.M
     if not np.allclose(now, later, rtol=PERIODIC_RTOL, atol=PERIODIC_RTOL * max(1.0, float(np.abs(now).max()))):
         raise ValueError(f"inputs, {name}: given a signal that has not the period {period:g}; accepted: one that has")
     return expression
-
-
-def _offers_derivatives(instance: FmuInstance) -> bool:
-    """Whether the FMU says so; fmpy does not keep that flag of FMI 3.0."""
-    exchange = ET.parse(instance.folder / DESCRIPTION_FILE).getroot().find("ModelExchange")
-    flags = ("providesDirectionalDerivatives", "providesDirectionalDerivative")
-    return exchange is not None and any(exchange.get(flag) in ("true", "1") for flag in flags)
 
 
 def _check_autonomous(instance: FmuInstance, inputs: list[float]) -> None:
@@ -298,9 +281,9 @@ def identity(model: FmuModel) -> dict[str, Any]:
     times = [k / SAMPLES_PER_PERIOD * (choices.forcing_period or 0.0) for k in range(SAMPLES_PER_PERIOD)]
     signals = np.array([np.array(model.signals(t)).ravel() for t in times])
     return {
-        "name": model.name, "token": str(token), "hash": model.instance.digest, "states": list(model.state_names),
-        "parameters": list(model.parameter_names), "inputs": list(choices.inputs),
-        "signals": signals.ravel().tolist(), "forcing_period": choices.forcing_period,
+        "name": model.name, "token": str(token), "hash": model.instance.unpacked.digest,
+        "states": list(model.state_names), "parameters": list(model.parameter_names),
+        "inputs": list(choices.inputs), "signals": signals.ravel().tolist(), "forcing_period": choices.forcing_period,
         "derivatives": [model.derivatives, model.parameter_derivatives],
     }  # fmt: skip
 
