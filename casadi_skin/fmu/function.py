@@ -298,12 +298,12 @@ class FmuFunction(ca.Callback):  # type: ignore[misc]
         return True
 
     def eval_buffer(self, arguments: Sequence[Bytes], results: Sequence[Bytes]) -> int:
-        points, first = self._at_once[bool(results[-1])], self._first
-        last = first if points is None else first + len(points.parts)
+        points, last = self._at_once[bool(results[-1])], self._first
         if points is not None:
-            self.derivatives.instance.answer(points, arguments, results[first:last])
-        for k in (*range(first), *range(last, len(results))):
-            if result := results[k]:
+            last += len(points.parts)
+            self.derivatives.instance.answer(points, arguments, results[self._first : last])
+        for k, result in enumerate(results):
+            if result and not self._first <= k < last:
                 given = zip(arguments, self._zeros, strict=False)
                 t, x, p = (np.frombuffer(a) if a else zeros for a, zeros in given)
                 np.frombuffer(result)[:] = self._values[k](t, x[None], p[None])[0]

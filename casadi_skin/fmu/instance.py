@@ -111,13 +111,13 @@ class FmuInstance:
 
     def _compute(self, at: Points, rows: int) -> None:
         """The numbers of the first points: those of the same parameters in one call."""
-        p = at.p[:rows]
+        held, row, ends = at.p[:rows], 0, [rows]
         if self._moved.size:
-            at.inputs[:rows, self._inputs.places] = p[:, self._moved]
-        held = p[:, self._held]
-        changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1 if rows > 1 else np.zeros(0, dtype=int)
-        row = 0
-        for last in (*changes.tolist(), rows):
+            at.inputs[:rows, self._inputs.places] = held[:, self._moved]
+            held = held[:, self._held]
+        if rows > 1:
+            ends[:0] = (np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1).tolist()
+        for last in ends:
             while row < last:
                 row = self._computed(at, row, last, held[row])
 
