@@ -2,9 +2,8 @@
 
 Where a multiplier passes an end of a gap between arcs, or 1, a real function g_k of the orbit is zero: all roots of
 these are sought, as quantities of the search for events (see `Search`), on stretches on which ends of arcs keep their
-order. Ends meet where Omega has values in closed form. What else changes the numbers of multipliers, two that meet or
-some that leave an arc, shows in these numbers on either side: a stretch is divided until what is found on it accounts
-for them.
+order. What else changes the numbers of multipliers, two that meet or some that leave an arc, shows in these numbers on
+either side: a stretch is divided until what is found on it accounts for them.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import Point, Refinement
 
 LOCALISED_ORBIT_TOLERANCE = 1e-11  # of the orbits along the family, whatever the tolerance of its points
-BAND_STRETCH_DISTANCE = 1e-3  # of an interval between points: where the frequency leaves a band, between two stretches
-INSIDE_MEETING = 1e-6  # of an interval between points: how far from a meeting of arcs the ends of a stretch are
+# Of an interval between points: stretches on which ends of arcs meet, and on which the frequency leaves a band.
+MEETING_STRETCH, BAND_STRETCH = 2e-6, 1e-3
 ZERO_XTOL = 1e-12  # of an interval between points: where a zero is
 DEEPEST_DIVISION = 23  # divisions of an interval between points
 FAR_RATIO = 0.5  # of values of a function at neighbouring points: it stays away from zero between
@@ -109,7 +108,7 @@ class EdgeOrbits:
         self.points = [replace(point, problem=levels.problem(point.problem.resolution)) for point in points]
         self.coordinates = np.arange(len(points), dtype=float).tolist()
         self._equations, self._known = EdgeHill(self.family.coordinates), dict[int, tuple[Point, EdgeOrbit]]()
-        self._at = dict[float, Point]()
+        self._at = dict[tuple[float, bool], Point]()
         localised = self.family.coordinates.localised
         assert localised is not None
         self.bands = localised.bands
@@ -136,36 +135,27 @@ class EdgeOrbits:
 
     # Orbits at coordinates --------------------------------------------------------------------------------------------
 
-    def at(self, coordinate: float) -> Point:
-        """The point of the branch there, or one that is solved for; raises OrbitNotFoundError."""
+    def at(self, coordinate: float, refined: bool = True) -> Point:
+        """The point of the branch there, or one that is solved for, once; raises OrbitNotFoundError.
+
+        One that is not `refined` is on the level of the next point of the branch, whatever its error.
+        """
         k = int(coordinate)
-        if coordinate == k and self.points[k].better is not None:
+        if coordinate == k and (self.points[k].better is not None or not refined):
             return self.points[k]
-        if coordinate not in self._at:
-            self._at[coordinate] = self._between(coordinate, self.solver.along)
-        return self._at[coordinate]
-
-    def layout(self, coordinate: float) -> Layout:
-        """Arcs and gaps there, on the level of the next point of the branch; raises OrbitNotFoundError."""
-        k = int(coordinate)
-        point = self.points[k] if coordinate == k else self._between(coordinate, self.solver.unrefined_along)
-        return Layout(point.Omega, self.bands)
-
-    def _between(self, coordinate: float, along: Callable[[Point, Point, float], Point | None]) -> Point:
-        before = int(np.clip(np.floor(coordinate), 0, len(self.points) - 2))
-        point = along(self.points[before], self.points[before + 1], coordinate - before)
-        if point is None:
-            S = self.S(self.points[before])
-            raise OrbitNotFoundError(f"no orbit is found near S = {S:g}: {self.solver.failure}")
-        return point
+        if (coordinate, refined) not in self._at:
+            first = min(k, len(self.points) - 2)
+            along = self.solver.along if refined else self.solver.unrefined_along
+            point = along(self.points[first], self.points[first + 1], coordinate - first)
+            if point is None:
+                S = self.S(self.points[first])
+                raise OrbitNotFoundError(f"no orbit is found near S = {S:g}: {self.solver.failure}")
+            self._at[coordinate, refined] = point
+        return self._at[coordinate, refined]
 
     def names(self, coordinate: float) -> tuple[str, ...]:
         """Names of the arcs there."""
-        return medium.names_of_arcs(self.layout(coordinate))
-
-    def counts(self, coordinate: float) -> Counts | None:
-        """Numbers of multipliers there; None where they cannot be counted."""
-        return self.orbit(self.at(coordinate)).counts
+        return medium.names_of_arcs(Layout(self.at(coordinate, refined=False).Omega, self.bands))
 
     @contextmanager
     def gap_where_it_fails(self, start: float, end: float) -> Iterator[None]:
@@ -198,7 +188,7 @@ class EdgeOrbits:
         places = [start, *inside, end] if inside else np.linspace(start, end, 5).tolist()
         counted = list[tuple[float, Counts]]()
         with self.gap_where_it_fails(start, end):
-            counted = [(c, counts) for c in places if (counts := self.counts(c)) is not None]
+            counted = [(c, counts) for c in places if (counts := self.orbit(self.at(c)).counts) is not None]
             if 2 * len(counted) < len(places):
                 self.gap(start, end, UNCOUNTED_WORDS)
             names = names_of(self.orbit(self.at(places[len(places) // 2])).layout)
@@ -237,32 +227,16 @@ class EdgeOrbits:
         return names not in ((medium.FILLED_GAP,), (medium.NARROW_GAP,))
 
     def _breaks(self, start: float, end: float) -> list[tuple[float, float]]:
-        """Places between two points at which names change, from just before to just behind."""
-        from scipy.optimize import brentq
-
-        first, last = self.layout(start), self.layout(end)
-        meetings = medium.crossings(first, last)
-        if medium.names_of_arcs(first) == medium.names_of_arcs(last) and not meetings:
+        """Short stretches on which names change: ends of arcs meet there, or the orbit's frequency leaves a band."""
+        sides = {self.names(start), self.names(end)}
+        if len(sides) == 1:
             return []
-        at = [
-            float(brentq(lambda c, at=Omega: self.layout(float(c)).Omega - at, start, end, xtol=1e-14, rtol=1e-14))
-            for Omega in meetings
-        ]
-        apart = INSIDE_MEETING * (end - start)
-        found = [(c - apart, c + apart) for c in at]
-        stops = [start, *(place for each in found for place in each), end]
-        for a, b in zip(stops[::2], stops[1::2], strict=True):
-            found += self._by_halving(a, b)
-        return sorted(found)
-
-    def _by_halving(self, start: float, end: float) -> list[tuple[float, float]]:
-        """Places at which the orbit's frequency leaves a band, or the gap beside it becomes wide enough."""
-        if self.names(start) == self.names(end):
-            return []
-        if end - start <= BAND_STRETCH_DISTANCE:
+        if end - start <= (
+            MEETING_STRETCH if sides.isdisjoint(((medium.FILLED_GAP,), (medium.NARROW_GAP,))) else BAND_STRETCH
+        ):
             return [(start, end)]
         middle = 0.5 * (start + end)
-        return [*self._by_halving(start, middle), *self._by_halving(middle, end)]
+        return [*self._breaks(start, middle), *self._breaks(middle, end)]
 
     def _across(
         self, end: float, before: Sequence[tuple[float, Counts]], start: float, after: Sequence[tuple[float, Counts]]

@@ -155,23 +155,6 @@ class Layout:
         """Whether the orbit's frequency, or an odd multiple of it, is at the edge of a band."""
         return not any(gap.mirrored for gap in self.gaps)
 
-    def sums(self) -> tuple[float, ...]:
-        """Frequencies Omega at which two ends meet, times 2 m."""
-        edges = np.ravel(self.bands)
-        pairs = [(float(edges[a]), float(edges[b])) for a in range(edges.size) for b in range(a, edges.size)]
-        return tuple([a + b for a, b in pairs] + [b - a for a, b in pairs if b > a])
-
-
-def crossings(first: Layout, last: Layout) -> list[float]:
-    """Frequencies between those of two layouts at which two ends meet, in the order from one to the other."""
-    low, high = sorted((first.Omega, last.Omega))
-    found = set()
-    for total in first.sums():
-        for m in range(int(np.ceil(total / (2.0 * high))), int(total / (2.0 * low)) + 1):
-            if m and low * (1.0 + SAME_END_RTOL) < total / (2.0 * m) < high * (1.0 - SAME_END_RTOL):
-                found.add(total / (2.0 * m))
-    return sorted(found, reverse=first.Omega > last.Omega)
-
 
 NARROW_GAP, FILLED_GAP = "narrow", "fills"
 BAND_EDGE_RTOL = 1e-14  # relative distance from the edge of a band that rounding leaves
