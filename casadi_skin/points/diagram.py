@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.follow import BranchRun
+from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.space import EQUILIBRIA
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import whole
@@ -17,6 +18,7 @@ from casadi_skin.model.result import Result, in_turn
 from casadi_skin.points.leaving import DEFAULT_TOLERANCE
 from casadi_skin.points.switch import leaving_space
 from casadi_skin.zero.kinds import HOPF, KINDS
+from casadi_skin.zero.orbit import UNFOLDING
 from casadi_skin.zero.problem import Array
 from casadi_skin.zero.settings import End, Point
 from casadi_skin.zero.stated_problem import PERIOD
@@ -60,9 +62,11 @@ class Diagram(Result):
     @property
     def special_points(self) -> tuple[SpecialPoint, ...]:
         """Special points of all branches, each once."""
-        found = list[SpecialPoint]()
+        found, sizes = list[SpecialPoint](), Sizes()
+        for branch in self.branches:
+            sizes.add(branch)
         for point in (point for branch in self.branches for point in points_of(branch)):
-            if not any(is_same(point, other) for other in found):
+            if not any(sizes.is_same(point, other) for other in found):
                 found.append(point)
         return tuple(found)
 
@@ -149,7 +153,8 @@ class Further:
         self.branches, self.failures = [branch], list[str]()
         self.reached = list[tuple[str, SpecialPoint]]()
         self._kinds, self._depth, self._options, self._halves = kinds, depth, options, halves
-        self._met = list[_Met]()
+        self._met, self._sizes = list[_Met](), Sizes()
+        self._sizes.add(branch)
         self._meet(branch)
 
     def __iter__(self) -> Iterator[tuple[str, SpecialPoint, Any]]:
@@ -172,6 +177,7 @@ class Further:
     def add(self, branch: Branch, space: Any, point: SpecialPoint) -> None:
         """Keep a branch that leaves at a special point."""
         self.branches.append(branch)
+        self._sizes.add(branch)
         if space.connects == EQUILIBRIA and space.first is not None:
             direction = _direction(space, space.first)
             closed = branch.end is End.CLOSED
@@ -184,7 +190,7 @@ class Further:
         """Close a special point at which a branch has come back to the orbits that it left: no other leaves there."""
         end = replace(branch.special_points[-1], kind=kind)
         for met in self._met:
-            met.left = met.left or is_same(met.point, end)
+            met.left = met.left or self._sizes.is_same(met.point, end)
 
     def _meet(self, branch: Branch) -> None:
         """Record the special points that a branch passes, and its directions there."""
@@ -197,7 +203,7 @@ class Further:
                 met.shrunk = met.shrunk or point.kind == HOPF
 
     def _of(self, point: SpecialPoint) -> _Met:
-        known = next((met for met in self._met if is_same(met.point, point)), None)
+        known = next((met for met in self._met if self._sizes.is_same(met.point, point)), None)
         if known is None:
             known = _Met(point)
             self._met.append(known)
@@ -256,25 +262,42 @@ def _is_along(known: Array, direction: Array, other: Array) -> bool:
     return bool(abs(a @ b) > abs(a @ c) and a @ b > 0.0)
 
 
-def is_same(one: SpecialPoint, other: SpecialPoint) -> bool:
-    """Whether two special points are one, met on two branches."""
-    if one.kind != other.kind:
-        return False
-    (x, x_error), (y, y_error) = _extent(one), _extent(other)
-    p, q = (np.array([v for k, v in point.solution.parameters.items() if k != PERIOD]) for point in (one, other))
-    if x.shape != y.shape or p.shape != q.shape:
-        return False
-    error = max(x_error, y_error)
-    apart = np.max(np.abs(x - y)) <= error * max(1.0, float(np.max(np.abs(x))))
-    return bool(apart) and bool(np.all(np.abs(p - q) <= error * np.maximum(1.0, np.abs(p))))
+@dataclass
+class Sizes:
+    """The largest state and parameters on branches, by their number: units in which special points are one."""
+
+    states: dict[int, float] = field(default_factory=dict)
+    parameters: dict[int, Array] = field(default_factory=dict)
+
+    def add(self, branch: Branch) -> None:
+        """Take in all solutions of a branch: it may leave zero and come back to it."""
+        for solution in branch.solutions:
+            known: Any = solution
+            states, p = known.positions if known.is_equilibrium else known.states, _parameters(solution)
+            count = 2 * states.shape[-1]
+            self.states[count] = max(self.states.get(count, 0.0), float(np.max(np.abs(states))))
+            self.parameters[p.size] = np.maximum(self.parameters.get(p.size, 0.0), np.abs(p))
+
+    def is_same(self, one: SpecialPoint, other: SpecialPoint) -> bool:
+        """Whether two special points are one, met on two branches."""
+        x, y, p, q = (of(point.solution) for of in (_extent, _parameters) for point in (one, other))
+        if one.kind != other.kind or x.shape != y.shape or p.shape != q.shape:
+            return False
+        exact = all(point.solution.is_equilibrium or point.kind == HOPF for point in (one, other))
+        error = SAME_POINT_RTOL if exact else EXTREMUM_RTOL
+        near = np.max(np.abs(x - y)) <= error * self.states[x.size]
+        return bool(near) and bool(np.all(np.abs(p - q) <= error * self.parameters[p.size]))
 
 
-def _extent(point: SpecialPoint) -> tuple[Array, float]:
-    """Smallest and largest value of each component, and their relative error."""
-    solution = point.solution
+def _parameters(solution: Solution) -> Array:
+    """Of the model: neither the period nor what unfolds a family, which is 0 but for rounding."""
+    return np.array([v for name, v in solution.parameters.items() if name != PERIOD and not name.startswith(UNFOLDING)])
+
+
+def _extent(solution: Any) -> Array:
+    """Smallest and largest value of each component."""
     if solution.is_equilibrium:
-        return np.concatenate([solution.positions, solution.positions]), SAME_POINT_RTOL
+        return np.tile(solution.positions, 2)
     start, end = solution.interval
     states = solution.evaluate(np.linspace(start, end, EXTREMA_SAMPLES))
-    at_rest = point.kind == HOPF
-    return np.concatenate([states.min(axis=0), states.max(axis=0)]), SAME_POINT_RTOL if at_rest else EXTREMUM_RTOL
+    return np.concatenate([states.min(axis=0), states.max(axis=0)])

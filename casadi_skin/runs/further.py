@@ -99,7 +99,7 @@ def _known(data: SavedResult, point: SpecialPoint) -> EdgeCurve | None:
         curve = restored(data)
         first: EdgePoint = curve.points[0]
         values = {**first.orbit.parameters, "S": first.edge.value}
-        near = all(abs(values[k] - v) <= SAME_POINT_DISTANCE * max(abs(v), 1.0) for k, v in point.parameters.items())
+        near = all(abs(values[k] - v) <= SAME_POINT_DISTANCE * abs(v) for k, v in point.parameters.items())
         return curve if near and isinstance(curve, EdgeCurve) else None
     except DAMAGED_FILE_ERRORS:
         return None
@@ -167,4 +167,5 @@ def _passes(curve: Branch, point: SpecialPoint) -> bool:
         a, b = found.parameters[point.parameter], point.parameters[point.parameter]
         return bool(abs(a - b) <= SAME_POINT_DISTANCE * max(abs(a), abs(b)))
     x, y = found.positions, point.solution.evaluate(0.0)[: found.positions.size]
-    return bool(np.max(np.abs(x - y)) <= SAME_POINT_DISTANCE * max(1.0, float(np.max(np.abs(x)))))
+    largest = max(float(np.max(np.abs(one.positions))) for one in curve.solutions)
+    return bool(np.max(np.abs(x - y)) <= SAME_POINT_DISTANCE * largest)

@@ -54,6 +54,19 @@ def test_cycles_between_two_hopf_points_are_walked_once_and_lead_to_the_equilibr
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("unit", "of_p"), [(1.0, 1.0), (1e-8, 1.0), (1.0, 1e-8), (1e-8, 1e-8), (1e7, 1e7)])
+def test_a_diagram_has_all_branches_in_any_unit(unit: float, of_p: float) -> None:
+    """Pitchforks of x and y, and those of y where x is +- sqrt(p): in units of 1e8 the latter had been one."""
+    x, y, p = symbols("x y p")
+    X, Y, P = x / unit, y / unit, p / of_p
+    rhs = unit * ca.vertcat(P * X - X**3, (P - 0.5) * Y - Y**3 - 0.2 * X**2 * Y)
+    model = OdeModel("two", ca.vertcat(x, y), rhs, p, nominal=(-0.2 * of_p,))
+    diagram = find_equilibrium(model, [0.0, 0.0]).follow_all("p", 1.2 * of_p, depth=3, limit=40)
+    places = sorted(point.parameters["p"] / of_p for point in diagram.special_points)
+    assert (len(diagram), diagram.complete, diagram.failures) == (9, True, ())
+    np.testing.assert_allclose(places, [0.0, 0.5, 0.625, 0.625], atol=1e-9)
+
+
 def test_depth_and_limit_bound_a_diagram() -> None:
     """Prey alone; with predators from K = 1 on; cycles from K = 3 on."""
     branch = find_equilibrium(rosenzweig_macarthur(), [0.5, 0], parameters={"K": 0.5}).follow("K", 3.2)
