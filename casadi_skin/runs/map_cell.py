@@ -94,7 +94,7 @@ class Result(msgspec.Struct, frozen=True):
 
 # Quantities of cells, and their names before a cell is computed -------------------------------------------------------
 
-DERIVATIVE = "_by_"  # in names of derivatives of located values
+BY = "_by_"  # in names of derivatives, of what by what
 OF_ALL = ("points", "end", "end_reason")
 STABILITY = ("first_instability", "first_instability_error", "first_tongue", "unresolved", "changes")
 LEFT_OUT = ("point", "requested", "special", "fold")  # marks of a place along a branch
@@ -126,7 +126,7 @@ def known_names(request: Request) -> tuple[str, ...]:
 def _moves(located: Iterable[str], request: Request) -> list[str]:
     """Names of derivatives of located values and their errors, where the scene asks for them."""
     parts = product(located, request.parameters, ("", "_error")) if request.scene.with_gradient else ()
-    return [f"{name}{DERIVATIVE}{parameter}{end}" for name, parameter, end in parts]
+    return [f"{name}{BY}{parameter}{end}" for name, parameter, end in parts]
 
 
 def check_quantities(request: Request, grid: Grid) -> None:
@@ -147,7 +147,7 @@ def asked(scene: Scene, grid: Grid) -> Scene:
     if scene.family is None or scene.continuation is not None or table is None or table.quantities is None:
         return scene
     wanted = (*table.quantities, *((table.watch or WATCHED) if grid.refined else ()))
-    names, moves = {FAMILY_SUFFIX.sub("", n).split(DERIVATIVE)[0] for n in wanted}, any(DERIVATIVE in n for n in wanted)
+    names, moves = {FAMILY_SUFFIX.sub("", n).split(BY)[0] for n in wanted}, any(BY in n for n in wanted)
     stability, accuracy = scene.stability, scene.accuracy
     if stability is not None and not (table.boundary or names & {*STABILITY, *OF_ALL}):
         stability = put(stability, events=False) if moves or names & {q.name for q in FAMILY_STABILITY} else None
@@ -238,8 +238,8 @@ def _derivatives(name: str, gradient: Callable[[], Gradient], parameters: Iterab
         failed.append(f"derivatives of {name}: {error}")
         slopes = errors = dict.fromkeys(parameters, math.nan)
     for parameter, slope in slopes.items():
-        yield f"{name}{DERIVATIVE}{parameter}", slope, f"derivative of {name} by {parameter}"
-        yield f"{name}{DERIVATIVE}{parameter}_error", errors[parameter], ERROR_MEANING
+        yield f"{name}{BY}{parameter}", slope, f"derivative of {name} by {parameter}"
+        yield f"{name}{BY}{parameter}_error", errors[parameter], ERROR_MEANING
 
 
 def _instabilities(branch: Branch, growth: float, failed: list[str] | None) -> Named:

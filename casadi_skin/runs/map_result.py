@@ -43,17 +43,7 @@ from casadi_skin.results.quantities import Cell
 from casadi_skin.results.store import Journal, mapped, record_at, scan
 from casadi_skin.results.words import Columns, Shown, listed, show
 from casadi_skin.runs.directory import SCENE_FILE, DirectoryError
-from casadi_skin.runs.map_cell import (
-    DERIVATIVE,
-    FAMILY_SUFFIX,
-    FAULTS,
-    OUTSIDE_FAULTS,
-    TEXTS,
-    WATCHED,
-    Result,
-    Row,
-    Value,
-)
+from casadi_skin.runs.map_cell import BY, FAMILY_SUFFIX, FAULTS, OUTSIDE_FAULTS, TEXTS, WATCHED, Result, Row, Value
 from casadi_skin.runs.map_grid import UNKNOWN_LABEL, Axis, Cells, Grid, Labels, Task, needed
 from casadi_skin.runs.output import Progress
 from casadi_skin.runs.reading import parse_scene, read_text
@@ -367,7 +357,7 @@ class Map(WithVerbs):
     @property
     def names(self) -> list[str]:
         """Names of the quantities, in the order in which cells have them."""
-        asked = (name for name in self.meanings if DERIVATIVE in name) if self._wanted is None else self._wanted
+        asked = (name for name in self.meanings if BY in name) if self._wanted is None else self._wanted
         absent = {*asked} - {*self._first, *self._axes, STARTED_FROM}  # of which no cell has a number
         known = [n for n in self._first if n != REASON and (self._wanted is None or n in self._wanted)]
         return [*sorted(known, key=lambda name: (name == STARTED_FROM, self._first[name])), *sorted(absent)]

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, Protocol
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -267,44 +268,33 @@ def optimality(nlp: Nlp, solution: Solution) -> Optimality:
     return Optimality(*_kkt(nlp, solution.x, g, scaled), multipliers, curvature, negative, flat)
 
 
-class _Scaled(NamedTuple):
+def _scaled(nlp: Nlp, solution: Solution, J: Any) -> SimpleNamespace:
     """Conditions without units: of unknowns over their `sizes`, and constraints over `heights`, those of their terms.
 
     The gradient and the multipliers are in units of the objective, whose `gradient_size` is `largest`; J has no unit.
     """
-
-    sizes: Array
-    heights: Array
-    J: Any
-    gradient: Array
-    lam_g: Array
-    lam_x: Array
-    largest: float
-
-
-def _scaled(nlp: Nlp, solution: Solution, J: Any) -> _Scaled:
-    sizes = nlp.sizes(solution.x)
+    sizes, largest = nlp.sizes(solution.x), nlp.gradient_size(solution.x)
     J = J.multiply(sizes[None]).tocsr()
     heights = np.asarray(abs(J).sum(axis=1)).ravel()
     heights[heights == 0.0] = 1.0
-    gradient, lam_g = sizes * nlp.gradient(solution.x), heights * solution.lam_g
-    largest = nlp.gradient_size(solution.x)
-    return _Scaled(sizes, heights, J.multiply(1.0 / heights[:, None]), gradient, lam_g, sizes * solution.lam_x, largest)
+    forces = {"gradient": sizes * nlp.gradient(solution.x), "lam_g": heights * solution.lam_g}
+    forces["lam_x"], J = sizes * solution.lam_x, J.multiply(1.0 / heights[:, None])
+    return SimpleNamespace(sizes=sizes, heights=heights, J=J, largest=largest, **forces)
 
 
-def _kkt(nlp: Nlp, x: Array, g: Array, scaled: _Scaled) -> tuple[float, float]:
+def _kkt(nlp: Nlp, x: Array, g: Array, scaled: Any) -> tuple[float, float]:
     """The larger residual of stationarity and complementarity, and the violation."""
-    sizes, heights, J, gradient, lam_g, lam_x, largest = scaled
+    sizes, heights, gradient, lam_g, lam_x = scaled.sizes, scaled.heights, scaled.gradient, scaled.lam_g, scaled.lam_x
     moves, rows = nlp.lower < nlp.upper, nlp.condition_rows
-    terms = np.abs(gradient) + np.asarray(abs(J).T @ np.abs(lam_g)).ravel()
-    total = gradient + np.asarray(J.T @ lam_g).ravel() + lam_x
+    terms = np.abs(gradient) + np.asarray(abs(scaled.J).T @ np.abs(lam_g)).ravel()
+    total = gradient + np.asarray(scaled.J.T @ lam_g).ravel() + lam_x
     outside = np.maximum(np.maximum(nlp.lower - x, x - nlp.upper), 0.0) / sizes
     products = np.append(
         _complementarity(lam_x, (nlp.upper - x) / sizes, (x - nlp.lower) / sizes)[moves],
         _complementarity(lam_g, (nlp.high - g) / heights, (g - nlp.low) / heights)[rows],
     )
-    stationarity = np.max((np.abs(total) / np.maximum(largest, terms))[moves])
-    complementarity, gaps = np.max(products, initial=0.0) / largest, nlp.violations(g) / heights
+    stationarity = np.max((np.abs(total) / np.maximum(scaled.largest, terms))[moves])
+    complementarity, gaps = np.max(products, initial=0.0) / scaled.largest, nlp.violations(g) / heights
     return float(max(stationarity, complementarity)), float(max(np.max(gaps, initial=0.0), np.max(outside)))
 
 
@@ -313,7 +303,7 @@ def _complementarity(multipliers: Array, above: Array, below: Array) -> Array:
     return np.abs(multipliers) * np.abs(np.where(multipliers == 0, 0.0, slack))
 
 
-def _active(nlp: Nlp, solution: Solution, g: Array, scaled: _Scaled) -> tuple[dict[str, float], Indices, Indices]:
+def _active(nlp: Nlp, solution: Solution, g: Array, scaled: Any) -> tuple[dict[str, float], Indices, Indices]:
     """Active bounds and equalities in words with multipliers, the unknowns at them, and the rows of conditions."""
     x, held = solution.x, ACTIVE_MULTIPLIER_RATIO * max(scaled.largest, *np.abs(scaled.lam_g))
     found, unknowns, rows = dict[str, float](), list[int](), list[int]()
