@@ -88,18 +88,6 @@ def test_newton_with_forty_digits_is_inside_the_enclosures():
         assert abs(middle - mp.sqrt(x[2 * H])) <= radius + mp.mpf(10) ** -24
 
 
-def test_mirrored_chains_have_the_same_enclosures():
-    one, other = (orbit_of(Chain(5, 0.8, gamma, 1.0), 1.5, mode=5).certify() for gamma in (0.4, -0.4))
-    assert one.proved
-    assert other.proved
-    for name in ("Omega", "period", "energy"):
-        (a, b), (c, d) = getattr(one, name), getattr(other, name)
-        assert max(a, c) <= min(b, d)
-    signs = np.sign(one.profile[0] @ other.profile[0, ::-1])
-    mirrored = np.sort(signs * other.profile[:, ::-1], axis=0)
-    assert np.all(np.maximum(one.profile[0], mirrored[0]) <= np.minimum(one.profile[1], mirrored[1]))
-
-
 def quintic(with_normalisation=False):
     """y'' = -k y - c y^3/3 - y^5, with S = 2 y^2 by a normalisation of its own or not."""
     y, v, k, c, S = (ca.SX.sym(name) for name in ("y", "v", "k", "c", "S"))

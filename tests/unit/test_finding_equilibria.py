@@ -8,7 +8,7 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-from equilibrium_models import Brusselator, ab, carbon_monoxide, lorenz, symbols
+from equilibrium_models import ab, carbon_monoxide, lorenz, symbols
 from programs import Program
 
 from casadi_skin import Chain, OdeModel, find_equilibria, find_equilibrium, simulate
@@ -85,18 +85,6 @@ def test_a_box_of_two_corners_is_the_same_and_warns() -> None:
 def test_a_box_that_is_none_is_refused(bounds: Any, words: str) -> None:
     with pytest.raises((ValueError, TypeError), match=f"^{words}"):
         find_equilibria(lorenz(), bounds, parameters={"r": 28.0})
-
-
-def test_eigenvalues_of_a_large_model_are_those_in_closed_form() -> None:
-    """128 components; 2 x 2 blocks a wave number."""
-    problem, B = Brusselator(64), 4.9
-    found = find_equilibrium(problem.model, problem.uniform(B) + 0.01, parameters={"B": B})
-    np.testing.assert_allclose(found.state, problem.uniform(B), rtol=1e-11)
-    A = problem.A
-    blocks = [[[B - 1 - problem.d1 * mu, A**2], [-B, -(A**2) - problem.d2 * mu]] for mu in problem.decay()]
-    exact = np.sort_complex(np.linalg.eigvals(np.array(blocks)).ravel())
-    np.testing.assert_allclose(np.sort_complex(found.eigenvalues), exact, atol=1e-10)
-    assert found.stable
 
 
 def test_static_states_of_second_order_models_have_pairs_of_eigenvalues() -> None:

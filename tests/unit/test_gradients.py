@@ -78,11 +78,6 @@ def test_the_hopf_point_of_lorenz_equations_moves_as_in_closed_form() -> None:
     assert list(alone.errors.values()) == [np.inf, np.inf]
 
 
-def test_units_of_states_and_parameters_do_not_matter() -> None:
-    found = lorenz((1e-7, 1e5, 3e-3), 1e6).gradient()
-    is_close(found, {"sigma": 1e6 * LORENZ["sigma"], "beta": LORENZ["beta"]}, largest=1e-9)
-
-
 def test_the_spread_is_that_of_the_gradient() -> None:
     found = lorenz().gradient()
     deviations = {"sigma": 0.1, "beta": 0.01}
@@ -103,26 +98,6 @@ def test_the_spread_is_that_of_the_gradient() -> None:
     for none, error in (({"sigma": np.inf}, ValueError), ({"sigma": "x"}, TypeError), ([[1j, 0], [0, 1]], TypeError)):
         with pytest.raises(error, match=r"^covariance.*accepted: (a )?finite number"):
             found.spread(none)
-
-
-def test_folds_and_branch_points_of_equilibria_move_as_in_closed_form() -> None:
-    """x' = p - a x + b x^3: folds at x^2 = a/(3 b). x' = (p - k^2) x - x^3 + e: e unfolds the branch point."""
-    x, p, a, b = symbols("x p a b")
-    model = OdeModel("cubic", x, p - a * x + b * x**3, ca.vertcat(p, a, b))
-    start = find_equilibrium(model, [-2.0], parameters={"p": 5.0, "a": 1.3, "b": 0.7})
-    folds = [point for point in start.follow("p", -5.0).special_points if point.kind == "fold"]
-    assert len(folds) == 2
-    for fold in folds:
-        at = float(fold.solution["x"])
-        is_close(fold.gradient(), {"a": at, "b": -(at**3)}, largest=1e-11)
-    x, p, k, e = symbols("x p k e")
-    model = OdeModel("pitchfork", x, (p - k**2) * x - x**3 + e, ca.vertcat(p, k, e))
-    (point,) = (
-        find_equilibrium(model, [0.0], parameters={"p": -1.0, "k": 0.6, "e": 0.0}).follow("p", 1.0).special_points
-    )
-    found = point.gradient()
-    assert found["k"] == pytest.approx(1.2, abs=1e-12)
-    assert np.isnan(found["e"])
 
 
 @pytest.mark.slow

@@ -119,20 +119,6 @@ def test_hopf_points_of_a_large_system_are_those_of_the_closed_form() -> None:
     assert points[0].frequency == pytest.approx(np.sqrt(np.linalg.det(block)), rel=1e-10)
 
 
-@pytest.mark.parametrize("ring", [False, True])
-def test_a_branch_by_sparse_matrices_is_that_by_dense_ones(ring: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Round the ring every eigenvalue is double, and the pairs that cross cannot be distinguished."""
-    sparse = branch_of_cells(60, ring, 0.8)
-    monkeypatch.setattr(rest, "is_mostly_zero", lambda *_: False)
-    whole = branch_of_cells(60, ring, 0.8)
-    assert [one.kind for one in sparse.special_points] == [one.kind for one in whole.special_points]
-    for one, other in zip(sparse.special_points, whole.special_points, strict=True):
-        assert abs(one.parameters["L"] - other.parameters["L"]) <= one.error + other.error + 1e-13
-        if not ring:
-            assert one.coefficient == pytest.approx(other.coefficient, rel=1e-6)
-    assert len(sparse.unresolved) == len(whole.unresolved)
-
-
 def test_where_the_number_of_eigenvalues_is_not_proved_the_stretch_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     proofs = list[HalfPlane]()
 

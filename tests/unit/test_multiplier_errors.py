@@ -5,9 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
-from casadi_skin import Chain, OdeModel, Orbit, find_orbit, follow_family
+from casadi_skin import OdeModel, Orbit, find_orbit
 from casadi_skin.stability.result import Floquet, reversible_floquet
 
 Array = np.ndarray
@@ -49,32 +48,11 @@ def test_a_multiplier_is_outside_or_inside_by_its_own_error(size: float, toleran
     assert_within_errors(floquet, size * np.exp([0.6j * np.pi, -0.6j * np.pi]), 1e-6)
 
 
-def test_an_orbit_of_a_chain_is_as_unstable_over_the_period_as_in_its_family() -> None:
-    """Complex multipliers of modulus 1.0010663."""
-    family = follow_family(Chain(8, 1.0, 0.25, -1.0), 1, 1.0901975, at=[1.0901975]).at(S=1.0901975)
-    orbit = family.follow("gamma", 0.26, max_points=2).orbits[0]
-    one, other = family.floquet(), orbit.floquet()
-    assert one.max_abs_multiplier == pytest.approx(1.0010663495, abs=1e-9)
-    assert abs(one.max_abs_multiplier - other.max_abs_multiplier) <= one.error + other.error < 1e-8
-    assert not orbit.stable
-    assert (one.unstable_complex, other.unstable_complex) == (2, 2)
-
-
 def test_multipliers_that_nearly_meet_have_the_error_of_the_pair() -> None:
     """1 and 1 + 1e-6 times e^-0.1 with a Jordan block but for that: the root of what is off, and no more than that."""
     matrix = np.array([[-0.1, 1.0, 0.0], [0.0, -0.1 + 1e-6, 0.0], [0.2, 0.1, -0.3]])
     floquet = response(forced(matrix), tolerance=1e-8).floquet()
     assert_within_errors(floquet, np.exp(2.0 * np.pi * np.diag(matrix)), 1e-6)
-
-
-@pytest.mark.parametrize("by", ["collocation", "cvodes"])
-def test_multipliers_do_not_depend_on_the_units_of_the_states(by: str) -> None:
-    matrix = np.array([[-0.2, 0.4, 0.1], [-0.4, 0.1, 0.3], [0.2, 0.1, -0.3]])
-    units = np.array([1e-4, 1.0, 1e4])
-    known = np.linalg.eigvals(expm(2.0 * np.pi * matrix))
-    for scale in (np.ones(3), units):
-        floquet = response(forced(matrix, scale), scale, tolerance=1e-8).floquet(by)
-        assert_within_errors(floquet, known, 1e-7)
 
 
 def test_errors_of_multipliers_from_mu_go_with_the_root_of_mu_near_the_circle() -> None:

@@ -38,12 +38,6 @@ def circle(t: float) -> list[float]:
     return [2 * np.cos(t), -2 * np.sin(t)]
 
 
-def brusselator() -> OdeModel:
-    x, y, a, b = (ca.SX.sym(name) for name in ("x", "y", "A", "B"))
-    rhs = ca.vertcat(a - (b + 1) * x + x**2 * y, b * x - x**2 * y)
-    return OdeModel("Brusselator", ca.vertcat(x, y), rhs, ca.vertcat(a, b), nominal=(1.0, 3.0))
-
-
 def duffing(**declared: Any) -> OdeModel:
     q, v, w, a, d, t = (ca.SX.sym(name) for name in ("q", "v", "omega", "a", "delta", "t"))
     rhs = ca.vertcat(v, -q - q**3 - d * v + a * ca.cos(w * t))
@@ -128,25 +122,6 @@ def test_an_orbit_that_repels_strongly_has_the_reciprocal_multiplier() -> None:
     assert growth > 80.0
     assert other.imag == 0.0
     assert abs(np.log(other.real) - growth) < 1e-6
-
-
-def test_the_brusselator() -> None:
-    """A = 1, B = 3: closure and multiplier by DOP853 with the variational equations, which share nothing with us."""
-    orbit = find_orbit(brusselator(), lambda t: [1 + np.cos(t), 3 - np.sin(t)], 7.2, tolerance=1e-10)
-
-    def field(_: float, s: Array) -> Array:
-        x, y = s[:2]
-        jacobian = np.array([[2 * x * y - 4, x**2], [3 - 2 * x * y, -(x**2)]])
-        return np.concatenate([[1 - 4 * x + x**2 * y, 3 * x - x**2 * y], (jacobian @ s[2:].reshape(2, 2)).ravel()])
-
-    start = orbit.evaluate(0.0)
-    end = flow(field, np.concatenate([start, np.eye(2).ravel()]), orbit.period).y[:, -1]
-    np.testing.assert_allclose(end[:2], start, atol=1e-8)
-    values = np.linalg.eigvals(end[2:].reshape(2, 2))
-    other = values[np.argmax(np.abs(values - 1.0))]
-    for by in ("collocation", "cvodes"):
-        assert abs(orbit.floquet(by).others[0] - other) < 1e-7
-    np.testing.assert_allclose(orbit.floquet().monodromy, end[2:].reshape(2, 2), atol=1e-6)
 
 
 def test_a_section_in_place_of_the_phase_condition() -> None:

@@ -27,7 +27,6 @@ class Force:
 
 
 ALPHA = Force("d + 0.25*d^2 + 0.5*d^3", lambda d: d + 0.25 * d**2 + 0.5 * d**3, lambda d: 1 + 0.5 * d + 1.5 * d**2)
-TODA = Force("exp(d) - 1", lambda d: np.exp(d) - 1, np.exp)
 LENNARD_JONES = Force(
     "12*(1/(1 + d)^7 - 1/(1 + d)^13)",
     lambda d: 12 * ((1 + d) ** -7 - (1 + d) ** -13),
@@ -87,15 +86,6 @@ def test_pi_mode_of_a_ring_loses_stability_where_an_independent_scan_does(
     assert largest_multiplier(sites, force, change.S * (1 + 1e-4)) > 1 + 1e-4
     assert branch.unresolved == ()
     assert all(orbit.stable == (change.S > orbit.S) for orbit in branch.solutions)
-
-
-@pytest.mark.parametrize("sites", [4, 6, 8, pytest.param(16, marks=pytest.mark.slow)])
-def test_toda_ring_is_integrable_and_never_loses_stability(sites: int) -> None:
-    branch = follow_family(ring(sites, TODA.formula), mode="last", amplitude_max=0.1, stability=True)
-    assert branch.changes == ()
-    assert branch.unresolved == ()
-    assert branch.stability_diagram.tongues == ()
-    assert branch.stable.all()
 
 
 def test_ring_of_two_kinds_of_sites_changes_where_a_monodromy_matrix_does() -> None:

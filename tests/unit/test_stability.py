@@ -180,20 +180,6 @@ def test_strong_nonreciprocity_leaves_no_false_instability(mode: int, g: float, 
 # Limits -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("g", "S"), [(1.0, 10.0), (-1.0, 2.5)])
-def test_one_site_has_the_trivial_pair_alone(g: float, S: float) -> None:
-    orbit = followed(Chain(1, 1.0, 0.5, g), 1, S, 1e-10).at(S)
-    result = orbit.floquet()
-    assert result.mu.size == 0
-    np.testing.assert_array_equal(result.multipliers, [1.0, 1.0])
-    assert (result.stable, result.max_abs_multiplier) == (True, 1.0)
-    assert (result.unstable_real, result.unstable_complex) == (0, 0)
-    assert result.trivial_deviation < 1e-9
-    M, vectors = physical_monodromy(orbit), orbit.floquet_vectors()
-    np.testing.assert_allclose(M @ vectors[:, 0], vectors[:, 0], atol=1e-9)
-    np.testing.assert_allclose(M @ vectors[:, 1], vectors[:, 1] + M[1, 0] * vectors[0, 1] * np.eye(2)[1], atol=1e-9)
-
-
 @pytest.mark.parametrize(("gamma", "g", "mode"), [(1.0, 1.0, 4), (1.0, -1.0, 1), (-1.0, 1.0, 4), (-1.0, -1.0, 1)])
 def test_at_the_strongest_nonreciprocity_the_resting_sites_are_linear_oscillators(
     gamma: float, g: float, mode: int
