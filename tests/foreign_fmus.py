@@ -117,9 +117,9 @@ def state_space(folder: Path) -> Path:
 
 SLAVE_NAMES = (
     "time", "x", "y", "der(x)", "der(y)", "mu", "omega", "cubic", "noise", "size_x", "size_y", "substeps", "odd", "u",
-    "force", "drive",
+    "force", "drive", "x0", "y0",
 )  # fmt: skip
-SLAVE_ODDITIES = ("", "set late", "never set", "hidden", "fails", "reset in part", "lags")
+SLAVE_ODDITIES = ("", "set late", "never set", "hidden", "fails", "reset in part", "lags", "by parameters")
 
 
 def slave(folder: Path, *, odd: str = "", structure: bool = True, clock: bool = True, **starts: float) -> Path:

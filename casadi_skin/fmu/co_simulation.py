@@ -30,7 +30,7 @@ from casadi_skin.fmu.fmu_component import MOST_COMPLAINTS
 from casadi_skin.fmu.map_orbit import EPSILON, MapOrbit, Returns, fixed_point
 from casadi_skin.fmu.model import TIME_LIMIT, Signal, check_answer, checked_choices, signal_at
 from casadi_skin.fmu.slave import SAME_VALUE_RTOL, Slave, SlaveError, SlaveVariables
-from casadi_skin.model.arguments import file_path, number, numbers, short_repr, whole
+from casadi_skin.model.arguments import by_name, file_path, number, numbers, short_repr, whole
 from casadi_skin.model.result import WithVerbs, in_turn
 from casadi_skin.zero.statement import named_values
 
@@ -315,6 +315,7 @@ def import_co_simulation(
     path: str | Path,
     *,
     states: Sequence[str] | None = None,
+    starts: Mapping[str, str] | None = None,
     parameters: Sequence[str] = (),
     inputs: Mapping[str, Signal] | None = None,
     forcing_period: float | None = None,
@@ -327,6 +328,7 @@ def import_co_simulation(
     Arguments:
         path: The FMU.
         states: Names of all states that it has, real variables; by default those of its ModelStructure.
+        starts: Names of the variables by which states are put in, by the states' names, where they are others.
         parameters: Its real parameters and inputs that become parameters of the model; the others keep their values.
         inputs: Values of its inputs by name, or signals: functions f(t) of CasADi's time with the forcing's period.
         forcing_period: The period of a model that depends on time.
@@ -346,6 +348,7 @@ def import_co_simulation(
         if value is not None and number(label, value) <= 0:
             raise ValueError(f"{label}: given {value!r}; accepted: a number > 0")
     choices, signals, at_start = checked_choices(states, parameters, inputs, forcing_period, time_limit)
+    choices = replace(choices, starts=tuple(by_name("starts", starts, "names").items()))
     unpacked = unpack(file_path("path", path), CO_SIMULATION)
     try:
         _ = SlaveVariables(unpacked.path, unpacked.description, choices)  # names first: they run nothing

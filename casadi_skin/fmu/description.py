@@ -198,12 +198,16 @@ def _library(path: Path, description: Any, names: tuple[str, ...], kind: str) ->
 
 @dataclass(frozen=True)
 class FmuChoices:
-    """Choices of a script for an FMU, by name: the order of its states, and the variables that get values."""
+    """Choices of a script for an FMU, by name: the order of its states, and the variables that get values.
+
+    `starts` are states with the variables that put them in, where these are others.
+    """
 
     states: tuple[str, ...] | None = None
     parameters: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     forcing_period: float | None = None
+    starts: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

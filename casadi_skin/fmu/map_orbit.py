@@ -38,10 +38,11 @@ SMALLEST_STEP, LARGEST_STEP = 1e-5, 0.03  # of differences
 DENSE_STATES = 40  # up to which J is a matrix
 LEADING_MULTIPLIERS = 8  # of many, in the order of their moduli
 SOLUTION_RTOL = 1e-3  # of GMRES: what differences of noisy values are worth
+VECTOR_RTOL, MOST_RESTARTS = 1e-5, 30  # of Arnoldi's method, whose vectors give multipliers by differences along them
 MOST_ITERATIONS, SHORTEST_FRACTION, SLOW_CONTRACTION = 40, 1 / 128, 0.2
-CONVERGED_NOISES = 30.0  # of the noise, that a residual may be
-# Differences to a way with half the error are the error; those with wider steps are larger than it.
-SAFETY, NOISE_SAFETY, NOISE_DIRECTIONS = 2.0, 3.0, 3
+CONVERGED_NOISES = 30.0  # times the noise and the differences to other ways, that a residual may be
+# An error of first order is twice the difference to half the step, and has further orders.
+SAFETY, NOISE_SAFETY, NOISE_DIRECTIONS = 3.0, 3.0, 3
 LARGEST_HIDDEN = 1e-2  # of the states' ranges, between going on from a return and starting anew from it
 
 
@@ -122,16 +123,20 @@ class Slope:
         except np.linalg.LinAlgError:
             return np.full(self.n, np.nan)
 
-    def leading(self, rtol: float) -> tuple[Complexes, Complexes, Complexes]:
+    def leading(self) -> tuple[Complexes, Complexes, Complexes]:
         """Eigenvalues of J, the largest first, their vectors as columns, and those of the inverse as rows."""
         if self.matrix.size:
             values, vectors = np.linalg.eig(self.matrix)
         else:
             operator = LinearOperator((self.n, self.n), matvec=self._along, dtype=float)
             try:
-                values, vectors = eigs(operator, k=LEADING_MULTIPLIERS, tol=rtol)
+                values, vectors = eigs(operator, k=LEADING_MULTIPLIERS, tol=VECTOR_RTOL, maxiter=MOST_RESTARTS)
             except ArpackNoConvergence as error:
                 values, vectors = error.eigenvalues, error.eigenvectors
+                if not values.size:
+                    raise BoundaryError(
+                        "an orbit is found, but Arnoldi's method does not find its multipliers"
+                    ) from error
         order = np.argsort(-np.abs(values), kind="stable")[:LEADING_MULTIPLIERS]
         left = np.linalg.pinv(vectors)[order]
         return values[order].astype(complex), vectors[:, order].astype(complex), left.astype(complex)
@@ -164,10 +169,12 @@ def fixed_point(at: Returns, y: Array, others: Sequence[Returns], again: Returns
             break
         else:
             before = 0.0
-    if not size <= CONVERGED_NOISES * (noise := max(noise, measured_noise(at, y))):
+    noise = max(noise, measured_noise(at, y))
+    blur = max([noise, *(float(np.max(np.abs(other(y) - value))) for other in others)])
+    if not size <= CONVERGED_NOISES * blur:
         raise BoundaryError(
             f"no orbit is found: the nearest motion comes back to {size:.1e} of the ranges of its states,"
-            f" where values have a noise of {noise:.1e}; accepted: a nearer guess"
+            f" where values have an error of {blur:.1e}; accepted: a nearer guess"
         )
     return _judged(at, y, others, again, noise, trivial)
 
@@ -181,7 +188,7 @@ def _judged(
         slope, before = Slope(at, y, step), step
         if not np.all(np.isfinite(slope.matrix)):
             raise BoundaryError("an orbit is found, but motions beside it do not return: it has no multipliers")
-        found = slope.leading(noise / step)
+        found = slope.leading()
         along = found[1][:, 0].real / np.linalg.norm(found[1][:, 0].real)
     residuals = [(other, other(y)[:-1] - y) for other in (at, *others)]
     for signs in np.random.default_rng(3).choice((-1.0, 1.0), (NOISE_DIRECTIONS, y.size)):
@@ -230,7 +237,8 @@ def _multipliers(
         if k and found[0][k] == np.conj(found[0][k - 1]) != found[0][k - 1]:
             values[k], wrong[k], bent[k] = np.conj(values[k - 1]), wrong[k - 1], bent[k - 1]
             continue
-        values[k] = left @ _along(ways[0], y, vector, step)[0]
+        value = left @ _along(ways[0], y, vector, step)[0]
+        values[k] = value if found[0][k].imag else value.real
         others = [_along(way, y, vector, 2.0 * step) for way in ways]
         condition = float(np.linalg.norm(left))
         off = np.max([np.linalg.norm(v - values[k] * vector) for v, _ in others])

@@ -27,6 +27,7 @@ from casadi_skin.fmu.description import (
 )
 from casadi_skin.fmu.fmu_component import call_error, instantiated, refused
 from casadi_skin.follow.space import BoundaryError
+from casadi_skin.model.arguments import check_name
 
 SAME_VALUE_RTOL = 1e-9  # between what is put in and what is there then; and between times
 PUT_IN = 1e-3  # of a state's size, from its start value, by which it is tried whether states can be put in
@@ -43,7 +44,7 @@ class SlaveVariables(Variables):
     def __post_init__(self) -> None:
         for variable in self.description.modelVariables:
             check_numbers(self.path, variable)
-        _ = self.states, self.given
+        _ = self.states, self.put, self.given
 
     @cached_property
     def states(self) -> tuple[Element, ...]:
@@ -51,11 +52,22 @@ class SlaveVariables(Variables):
         entries = self.description.derivatives
         named = tuple(e for u in entries if u.variable.derivative for e in elements_of(u.variable.derivative))
         if self.choices.states is not None:
-            reals = [v for v in self.description.modelVariables if v.type in REAL_TYPES]
-            return tuple(chosen("states", self.choices.states, reals))
+            return tuple(chosen("states", self.choices.states, self._reals))
         if not named:
             raise ValueError(f"{self.path}: no states are named in its ModelStructure; accepted: states=[...]")
         return named
+
+    @property
+    def _reals(self) -> list[Any]:
+        return [variable for variable in self.description.modelVariables if variable.type in REAL_TYPES]
+
+    @cached_property
+    def put(self) -> tuple[Element, ...]:
+        """The variables that states are put in by."""
+        names, others = [state.name for state in self.states], dict(self.choices.starts)
+        for name in others:
+            check_name("starts", name, names)
+        return tuple(chosen("starts", [others.get(name, name) for name in names], self._reals))
 
     @cached_property
     def order(self) -> list[int]:
@@ -73,7 +85,7 @@ class Slave:
         self._unpacked, self._variables, self._complaints = unpacked, variables, complaints
         description = unpacked.description
         self._two = str(description.fmiVersion).startswith("2")
-        self._states, self._given = Group.of(variables.states), Group.of(variables.given)
+        self._states, self._put, self._given = map(Group.of, (variables.states, variables.put, variables.given))
         known = [v for v in description.modelVariables if v.causality == "independent"]
         self._clock = [int(v.valueReference) for v in known[:1]]  # the variable that is the time, where there is one
         self._fmu: Any = None
@@ -94,12 +106,12 @@ class Slave:
                 self._fmu.setupExperiment(tolerance=tolerance, startTime=0.0)
             self.give(given)
             if not self._late:
-                self._set(self._states, x)
+                self._set(self._put, x)
             times = {} if self._two else {"tolerance": tolerance, "startTime": 0.0}
             self._fmu.enterInitializationMode(**times)
             self._fmu.exitInitializationMode()
             if self._late:
-                self._set(self._states, x)
+                self._set(self._put, x)
         except Exception as error:
             self.free()
             raise self._failed("it cannot be initialised", error) from error
@@ -108,7 +120,9 @@ class Slave:
         for name, put, got, size in zip(self._variables.states, x, there, sizes, strict=True):
             if not abs(got - put) <= SAME_VALUE_RTOL * size:
                 words = f"the state {name.name} is {got:.9g} after the initialisation, where {put:.9g} was put in"
-                raise self._failed(f"{words}; accepted: states that a start value sets", None)
+                raise self._failed(
+                    f"{words}; accepted: states that start values set, or starts= with variables that set them", None
+                )
 
     def _anew(self) -> None:
         """An instance that nothing has been done to."""

@@ -6,8 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { TIME, X, Y, DER_X, DER_Y, MU, OMEGA, CUBIC, NOISE, SIZE_X, SIZE_Y, SUBSTEPS, ODD, U, FORCE, DRIVE, COUNT };
-enum { NOTHING_ODD, SET_LATE, NEVER_SET, HIDDEN, FAILS, RESET_IN_PART, LAGS }; /* what is odd */
+enum { TIME, X, Y, DER_X, DER_Y, MU, OMEGA, CUBIC, NOISE, SIZE_X, SIZE_Y, SUBSTEPS, ODD, U, FORCE, DRIVE, X0, Y0, COUNT };
+enum { NOTHING_ODD, SET_LATE, NEVER_SET, HIDDEN, FAILS, RESET_IN_PART, LAGS, BY_PARAMETERS }; /* what is odd */
 enum { OK = 0, DISCARD = 2, ERROR = 3 };
 enum { INSTANTIATED, INITIALISING, STEPPING };
 static const double OWN_STEP = 0.01; /* of one that lags */
@@ -93,14 +93,21 @@ EXPORT void *fmi2Instantiate(const char *name, int kind, const char *token)
 EXPORT void fmi2FreeInstance(Slave *c) { free(c); }
 EXPORT int fmi2SetupExperiment(Slave *c) { return c->mode == INSTANTIATED ? OK : ERROR; }
 EXPORT int fmi2EnterInitializationMode(Slave *c) { return c->mode == INSTANTIATED ? (c->mode = INITIALISING, OK) : ERROR; }
-EXPORT int fmi2ExitInitializationMode(Slave *c) { return c->mode == INITIALISING ? (c->mode = STEPPING, OK) : ERROR; }
+EXPORT int fmi2ExitInitializationMode(Slave *c)
+{
+    if (c->v[ODD] == BY_PARAMETERS) {
+        c->v[X] = c->v[X0];
+        c->v[Y] = c->v[Y0];
+    }
+    return c->mode == INITIALISING ? (c->mode = STEPPING, OK) : ERROR;
+}
 
 EXPORT int fmi2SetReal(Slave *c, const unsigned *references, size_t n, const double *values)
 {
     size_t i;
     for (i = 0; i < n; i++) {
         const int state = references[i] == X || references[i] == Y, late = c->mode == STEPPING;
-        if (references[i] >= COUNT || (state && c->v[ODD] == NEVER_SET)) return ERROR;
+        if (references[i] >= COUNT || (state && (c->v[ODD] == NEVER_SET || c->v[ODD] == BY_PARAMETERS))) return ERROR;
         if (state && (c->v[ODD] == SET_LATE) != late) return ERROR;
         c->v[references[i]] = values[i];
     }

@@ -16,6 +16,7 @@ from foreign_fmus import changed, slave
 
 from casadi_skin import (
     BoundaryError,
+    Chain,
     OdeModel,
     export_fmu,
     find_orbit,
@@ -70,7 +71,9 @@ def test_cycles_of_a_noisy_slave_in_any_units(seed: int, tmp_path: Path) -> None
     assert (orbit.t[0], orbit.t[-1]) == (0.0, orbit.period)
 
 
-@pytest.mark.parametrize(("driven", "cycles"), [(False, 1), (True, 1), (True, 2), (False, 3)])
+@pytest.mark.parametrize(
+    ("driven", "cycles"), [(False, 1), (True, 1), pytest.param(True, 2, marks=pytest.mark.slow), (False, 3)]
+)
 def test_forced_orbits_by_what_is_inside_and_by_inputs(driven: bool, cycles: int, tmp_path: Path) -> None:
     """z' = lambda z + A cos(drive t), stable and unstable; an input is constant within a step, which the error has."""
     drive = 1.7
@@ -147,12 +150,38 @@ def test_orbits_of_our_own_fmus_as_by_collocation(fmi: Any, tmp_path: Path) -> N
         assert found.solver_seen
 
 
+@pytest.mark.slow
+def test_many_states_by_krylov_spaces(tmp_path: Path) -> None:
+    """A driven chain of 24 damped sites, against collocation; a conservative one has no orbit that stands alone."""
+    n, drive = 24, 1.3
+    q, v, t, F = (ca.SX.sym(name, size) for name, size in (("q", n), ("v", n), ("t", 1), ("F", 1)))
+    stretched = ca.vertcat(q[0], q[1:] - q[:-1], -q[-1])
+    force = ca.vertcat(F * ca.cos(drive * t), ca.SX(n - 1, 1))
+    rates = ca.vertcat(v, 0.8 * stretched[1:] - 1.2 * stretched[:-1] - 0.3 * q**3 - 0.15 * v + force)
+    period = 2 * np.pi / drive
+    model = OdeModel("chain", ca.vertcat(q, v), rates, F, time=t, forcing_period=period, nominal=(1.0,))
+    path = export_fmu(model, tmp_path / "chain.fmu", start=np.zeros(2 * n), tolerance=1e-6)
+    found = import_co_simulation(path, forcing_period=period, step=period / 40).find_orbit(transient=60.0)
+    known = find_orbit(model, (found.t, found.states.T))
+    assert np.all(np.abs(found.state - known.evaluate(np.array([0.0])).ravel()) <= found.state_error)
+    assert np.all(found.state_error <= 1e-5)
+    multipliers = known.floquet().multipliers
+    assert 1 <= found.multipliers.size <= 8
+    assert abs(found.multipliers[0]) == pytest.approx(np.max(np.abs(multipliers)), abs=1e-5)
+    for one, wrong in zip(found.multipliers, found.multiplier_errors, strict=True):
+        assert np.min(np.abs(multipliers - one)) <= wrong <= 1e-4
+    free = import_co_simulation(export_fmu(Chain(3, 1.0, 0.25, 1.0), path, S=0.5), step=0.05).find_orbit()
+    assert free.stable is None
+    assert np.all(free.state_error == np.inf)
+
+
 def van_der_pol(folder: Path, **options: Any) -> Path:
     x, mu = ca.SX.sym("x", 2), ca.SX.sym("mu")
     rates = ca.vertcat(x[1], mu * (1 - x[0] ** 2) * x[1] - x[0])
     return export_fmu(OdeModel("vdp", x, rates, mu, nominal=(1.0,)), folder / "vdp.fmu", start=[2.0, 0.0], **options)
 
 
+@pytest.mark.slow
 def test_relaxation_and_results_as_others(tmp_path: Path) -> None:
     path = van_der_pol(tmp_path, tolerance=1e-9)
     model = import_co_simulation(path, parameters=["mu"], step=0.02)
@@ -182,8 +211,9 @@ def simulated_again(model: Any, orbit: Any) -> bool:
 
 def test_slaves_that_take_states_late_and_do_not_reset(tmp_path: Path) -> None:
     plain = import_co_simulation(slave(tmp_path, mu=0.1)).find_orbit([0.3, 0.0])
-    for odd in ("set late", "reset in part"):
-        found = import_co_simulation(slave(tmp_path, odd=odd, mu=0.1)).find_orbit([0.3, 0.0])
+    for odd in ("set late", "reset in part", "by parameters"):
+        starts = {"x": "x0", "y": "y0"} if odd == "by parameters" else None
+        found = import_co_simulation(slave(tmp_path, odd=odd, mu=0.1), starts=starts).find_orbit([0.3, 0.0])
         assert np.array_equal(found.states, plain.states)
 
 
@@ -222,6 +252,9 @@ def test_arguments_that_do_not_fit_are_refused_in_a_line(tmp_path: Path) -> None
     path = slave(tmp_path, mu=0.1)
     for words, options in (
         ("states: given 'z'; accepted: time, x, y, ", {"states": ["z"]}),
+        ("starts: given 'z'; accepted: x, y", {"starts": {"z": "x0"}}),
+        ("starts: given 'x1'; accepted: ", {"starts": {"x": "x1"}}),
+        ("the state x is 1 after the initialisation, where 1.001 was put in; accepted: ", {"starts": {"x": "x0"}}),
         ("step: given 0; accepted: a number > 0", {"step": 0}),
         ("solver_tolerance: given -1.0; accepted: a number > 0", {"solver_tolerance": -1.0}),
         ("inputs, u: given a function of time; accepted: with forcing_period=", {"inputs": {"u": ca.cos}}),
