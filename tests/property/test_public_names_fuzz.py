@@ -255,7 +255,7 @@ CALLS: dict[str, tuple[Callable[[], Callable[..., Any]], dict[str, Any]]] = {
     "import_co_simulation": (
         lambda: import_co_simulation,
         {"path": "missing.fmu", "states": None, "parameters": (), "inputs": None, "forcing_period": None, "step": 0.1,
-         "solver_tolerance": 1e-4, "time_limit": 5.0},
+         "starts": None, "solver_tolerance": 1e-4, "time_limit": 5.0},
     ),
     "run_map": (
         lambda: run_map,

@@ -72,12 +72,11 @@ EXPORT int fmi2DoStep(Slave *c, double t, double step, int none)
 
 EXPORT int fmi2Reset(Slave *c)
 {
-    const double hidden = c->hidden;
     const int in_part = c->v[ODD] == RESET_IN_PART;
     memset(c, 0, sizeof *c);
     memcpy(c->v, START, sizeof START);
-    if (in_part) c->v[DRIVE] = 1.1;
-    c->hidden = in_part ? hidden : 0.1;
+    if (in_part) c->v[OMEGA] = 1.1;
+    c->hidden = 0.1;
     return OK;
 }
 

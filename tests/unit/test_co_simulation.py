@@ -341,6 +341,31 @@ def test_errors_of_fixed_points_of_noisy_maps(n: int) -> None:
     assert 0.01 < max(ratios) <= 1.0
 
 
+@pytest.mark.parametrize("noise", [1e-12, 1e-9, 1e-6])
+def test_noise_alone_is_in_the_errors(noise: float) -> None:
+    """Where no other way shows anything: as large as 30 places are off, and ten times the noise along 0.95."""
+    off = []
+    for seed in range(30):
+        centre = np.random.default_rng(seed).normal(size=2)
+        at = partial(noisy_cubic, np.diag([0.95, -0.3]), centre, np.ones(2), noise, 0.0, 1.0 + seed)
+        found = fixed_point(at, centre + 0.01, [], lambda y, at=at: at(at(y)[:-1]), False)
+        off.append(np.max(np.abs(found.y - centre) / found.errors))
+        assert np.all(found.errors >= [10 * noise, noise])
+        assert np.all(found.errors <= 1e3 * noise)
+    assert max(off) <= 1.0
+
+
+def test_the_error_of_an_orbit_is_in_its_multipliers() -> None:
+    """The orbit 0 is off by 1e-6, which changes the multiplier 0.99 by 6e-6."""
+
+    def way(error: float, y: Any) -> Any:
+        return np.append(0.99 * y + 3.0 * y**2 + error, 1.0)
+
+    at = partial(way, 1e-8)
+    found = fixed_point(at, np.array([1e-4]), [partial(way, 0.0)], lambda y: at(at(y)[:-1]), False)
+    assert 5e-6 <= abs(found.multipliers[0] - 0.99) <= found.multiplier_errors[0] <= 1e-4
+
+
 def test_noise_is_measured_and_smooth_maps_have_little() -> None:
     rng = np.random.default_rng(0)
     y = np.array([0.3, -0.2])
