@@ -18,10 +18,11 @@ import casadi as ca
 
 from casadi_skin.export.codegen import DECLARATIONS, Call, Part, Size, filled
 
-LONGEST_PERIOD = 40  # rows or loops that repeat together, as those of the sites of one cell
+LONGEST_PERIOD = 80  # rows or loops that repeat together, as those of the sites of one cell
 LOOP_VARIABLES = "ijklmno"  # from the outermost loop inwards; more than seven need LEAST_REPEATS**8 rows
 LEAST_REPEATS = 5  # fewer are written one by one
-MOST_STATEMENTS = 1500  # beyond, a compiler takes its time: CasADi's code is cut into parts
+MOST_STATEMENTS = 1500  # beyond, a compiler takes its time: CasADi's code is cut into parts,
+MOST_STATEMENTS_IN_LOOPS, LOOPS_SHORTEN = 10000, 10  # but for these, where loops have as many times fewer
 C_UNARY = {
     ca.OP_ASSIGN: "{0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0 * {0}", ca.OP_INV: "1.0 / {0}",
     ca.OP_NOT: "!({0} != 0.0)", ca.OP_SIGN: "(double)(({0} > 0.0) - ({0} < 0.0))",
@@ -107,7 +108,8 @@ def with_loops(call: Call) -> str | None:
         return None
     lines, tables = [f"{call.prototype}\n{{"], list[str]()
     nests = [_nest(rows) for rows in results]
-    if sum(item.cost for nest in nests for item in nest) > MOST_STATEMENTS:
+    statements, apart = (sum(item.cost for rows in every for item in rows) for every in (nests, results))
+    if statements > min(MOST_STATEMENTS_IN_LOOPS, max(MOST_STATEMENTS, apart // LOOPS_SHORTEN)):
         return None
     writer = Writer(call.arguments, call.function.name(), tables)
     for name, nest in zip(call.results, nests, strict=True):

@@ -265,21 +265,26 @@ class Implicit:
         moving = values[values > STILL_RTOL * np.max(values, initial=0.0)]
         return float(np.exp(np.mean(np.log(moving)))) if moving.size else 1.0
 
-    def semi_explicit(self, parameters: Array) -> tuple[dict[str, Any], Array]:
+    def semi_explicit(self, time: float, start: Array, parameters: Array) -> tuple[dict[str, Any], Array]:
         """w' = f1, 0 = g as CasADi's integrators take them, and B, shape (n, n), where (w, z) = B x.
 
-        w is E1 x, each row over its length.
+        w is E1 x, each row over its length, and g are over the length of their slopes at the start: IDAS takes rows
+        that are small by their unit for singular.
         """
-        time, x, p = ca.SX.sym("t"), ca.SX.sym("x", self.model.size), ca.SX.sym("p", parameters.size)
+        g = ca.vertcat(*self.latest.values())
+        slope = self.model.function("slope", ca.densify(ca.jacobian(g, self.model.state)))
+        lengths = np.linalg.norm(np.array(slope(time, start, parameters)), axis=1)
+        t, x, p = ca.SX.sym("t"), ca.SX.sym("x", self.model.size), ca.SX.sym("p", parameters.size)
         _, _, kept = self._conditions(0.0, np.zeros(self.model.size), parameters)
         sizes = np.linalg.norm(kept := np.array(kept), axis=1)
         matrix = np.vstack([kept / sizes[:, None], complement(kept).T])
         differential = [self.rows.right[i] for i in range(x.numel()) if i not in self.latest]
         differential = [right / size for right, size in zip(differential, sizes.tolist(), strict=True)]
-        f = self.model.function("parts", ca.vertcat(ca.SX(0, 1), *differential), ca.vertcat(*self.latest.values()))
+        g /= np.where(lengths > 0.0, lengths, 1.0)
+        f = self.model.function("parts", ca.vertcat(ca.SX(0, 1), *differential), g)
         w, z = ca.SX.sym("w", len(differential)), ca.SX.sym("z", len(self.latest))
-        ode, algebraic = f(time, ca.DM(np.linalg.inv(matrix)) @ ca.vertcat(w, z), p)
-        return {"t": time, "x": w, "z": z, "p": p, "ode": ode, "alg": algebraic}, matrix
+        ode, algebraic = f(t, ca.DM(np.linalg.inv(matrix)) @ ca.vertcat(w, z), p)
+        return {"t": t, "x": w, "z": z, "p": p, "ode": ode, "alg": algebraic}, matrix
 
 
 def complement(rows: Array) -> Array:

@@ -92,6 +92,8 @@ LARGEST_OUTPUT_GAP = 100.0  # radians from output to output
 STIFF_SHARE = 1e-2  # local tolerance of BDF per tolerance: errors of steps add up
 STIFF_STEPS = 100_000  # of BDF, from output to output
 EVENT_PLACES = 2001  # of a motion that is looked at for events
+LEAST_STRETCH = 1e-8  # of time from output to output
+UNITS_OF_TIME = 1e6  # in all, where stretches are shorter
 BDF_STRETCHES = 1000  # of an evolution by BDF, with an output after each: its end may need more steps than one stretch
 
 
@@ -171,15 +173,22 @@ def followed_by_cvodes(
     """States at the times t > `origin`, where the state is `start`; raises IntegrationError where CVODES fails.
 
     With a `gap`, CVODES puts out states at least as often: its limit of steps holds from output to output, so that a
-    blow-up is noticed soon.
+    blow-up is noticed soon. Where times are near to each other they are in another unit, as CasADi leaves stretches
+    below 1e-9 out.
     """
     grid = t if gap is None else np.union1d(t, np.arange(origin + gap, t[-1], gap))
-    integrator, n = options.integrator("evolution", dae, (origin, *grid)), dae["x"].numel()
+    near = min(gap or np.inf, float(np.min(np.diff(t, prepend=origin)))) < LEAST_STRETCH
+    unit = 2.0 ** np.round(np.log2((t[-1] - origin) / UNITS_OF_TIME)) if near else 1.0  # a change that rounds nothing
+    rates = {
+        part: ca.substitute(dae[part], dae["t"], unit * dae["t"]) for part in ("ode", "alg") if near and part in dae
+    }
+    scaled = dae | rates | {"ode": unit * rates.get("ode", dae["ode"])}
+    integrator, n = options.integrator("evolution", scaled, (origin / unit, *(grid / unit))), dae["x"].numel()
     try:
         found = run_cvodes(integrator, start[:n], parameters, end_solver=True, z0=start[n:])
         states = np.array(ca.vertcat(found["xf"], found["zf"])).T
     except CvodesError as error:
-        before = t[t <= integrator.stats()["tcur"]]
+        before = t[t <= unit * integrator.stats()["tcur"]]
         whole = Trajectory(np.empty((0, start.size)), 0)
         if before.size:  # CasADi gives nothing of a run that fails: its good part is done again
             whole = followed_by_cvodes(dae, parameters, start, before, options, origin, gap)
@@ -227,7 +236,7 @@ def stiff_cvodes(
             return followed_by_cvodes(dae, parameters, start, times, options, origin, gap)
 
         return _between_events(model, parameters, t, origin, follow)
-    dae, matrix = implicit.semi_explicit(parameters)
+    dae, matrix = implicit.semi_explicit(origin, start, parameters)
     found = followed_by_cvodes(dae, parameters, matrix @ start, t, options, origin, gap)
     return replace(found, states=np.asarray(np.linalg.solve(matrix, found.states.T).T, dtype=float))
 

@@ -361,6 +361,21 @@ def test_boundary_values_of_a_pendulum_in_any_unit_of_time(time: float) -> None:
     )
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 1.0, 1e9])
+def test_simulations_in_any_unit_of_time(unit: float) -> None:
+    """A pendulum returns after its period, and van der Pol's equation, an ODE, moves as in units of 1."""
+    model, (at, period) = pendulum(0.0), swing(1.5)
+    slow = OdeModel("slow", model.state, ca.vertcat(model.given_rhs[:4] / unit, model.given_rhs[4]), mass=model.mass)
+    times = unit * period * np.array([0.0, 0.25, 0.5, 1.0])
+    for states in (simulate(slow, at(0.0), times).states, evolve(slow, at(0.0), None, times).states):
+        assert states[:, 0] == pytest.approx(np.sin(1.5) * np.array([1.0, 0.0, -1.0, 1.0]), abs=1e-7)
+    plain = plain_circuit()
+    fast = OdeModel("fast", plain.state, plain.rhs / unit, plain.parameters, nominal=[1.0])
+    times = np.linspace(0.0, 6.0, 4)
+    expected = simulate(plain, [1.0, 0.0], times).states
+    assert simulate(fast, [1.0, 0.0], unit * times).states == pytest.approx(expected, abs=1e-7)
+
+
 def test_simulation_starts_consistent_and_follows_the_equations_kept() -> None:
     times, model = np.linspace(0.0, 6.0, 61), pendulum(0.5, -np.cos(1.5))
     found = simulate(model, {"x": 0.9, "y": -0.1}, times, tolerance=1e-10)

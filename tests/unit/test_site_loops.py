@@ -69,6 +69,25 @@ def test_planes_are_loops_in_both_directions(boundary: Literal["fixed", "free", 
     assert len(code(other / "plane.c", "plane")) < 1.02 * len(code(tmp_path / "c" / "plane.c", "plane")) < 45_000
 
 
+@pytest.mark.slow
+def test_planes_with_far_bonds_are_loops_too(tmp_path: Path) -> None:
+    """Cells at the boundary are written apart, of which there are many; CasADi's code grows with the plane."""
+    bonds = [Bond("a", "a", at, force="k*sin(d) + d^3") for at in ((1, 0), (0, 1), (1, 1), (-1, 2), (2, -1))]
+    sizes = []
+    for cells in ([20, 24], [26, 30]):
+        lattice = Lattice(cells, [Site("a", onsite="k*y + y^3")], bonds, "periodic", parameters={"k": 1.0})
+        folder = export_c(lattice, tmp_path / str(cells[0]), ["rhs", "jacobian"], name="far")
+        assert not (folder / "far_generated.c").exists()
+        sizes.append(len(code(folder / "far.c", "far")))
+    assert sizes[1] < 1.03 * sizes[0]
+    library, x = Library(folder, "far"), np.sin(np.arange(lattice.full_size) + 1.0)
+    dxdt, dfdx = np.empty(x.size), library.work("JACOBIAN_NONZEROS")
+    library.call("jacobian", 0.0, x, np.ones(1), dxdt, dfdx, None, library.work("JACOBIAN_WORK"))
+    known = lattice.function("f", lattice.full_rhs, ca.jacobian(lattice.full_rhs, lattice.full_state))(0.0, x, 1.0)
+    np.testing.assert_allclose(dxdt, np.array(known[0]).ravel(), atol=1e-14)
+    np.testing.assert_allclose(dfdx, known[1].nonzeros(), atol=1e-14)
+
+
 def test_planes_of_two_sites_a_cell_and_a_ring(tmp_path: Path) -> None:
     """A honeycomb whose stiffness is that of the cell, in a table of loops in loops; and a chain that is closed."""
     stiffness = [[1.0 + 0.01 * (i**2 + j) for j in range(10)] for i in range(8)]
