@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -33,7 +33,8 @@ from casadi_skin.model.conserved import SymmetryClass, unfolded_phases
 from casadi_skin.model.integrators import IntegrationError
 from casadi_skin.model.jumps import STATE, TIME, JumpError
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.result import NoQuantityError
+from casadi_skin.model.result import NoQuantityError, kept_by_first
+from casadi_skin.native.programs import buffers
 from casadi_skin.solve.intervals import Intervals
 from casadi_skin.solve.ipopt import CORRECTORS, ArbitratedCorrector
 from casadi_skin.solve.levels import Levels
@@ -207,12 +208,12 @@ MOST_IPOPT_ITERATIONS = 100  # of Ipopt: a guess of a boundary-value problem may
 OFFSET_FROM_BRANCH_POINT = 1e-3
 
 
-@lru_cache(maxsize=64)
+@kept_by_first
 def _slopes(model: OdeModel) -> tuple[Buffers, tuple[Indices, Indices]]:
     """df/dx at these places, a function of (t, x, p), and rows and columns of its entries."""
     slope = model.function("slope", ca.jacobian(model.full_rhs, model.full_state))
     rows, columns = (np.array(each, dtype=np.int64) for each in slope.sparsity_out(0).get_triplet())
-    return Buffers(slope, PLACES.size), (rows, columns)
+    return buffers(slope, PLACES.size, model.programs), (rows, columns)
 
 
 @dataclass(frozen=True, eq=False)

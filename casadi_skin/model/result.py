@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import FunctionType
-from typing import Any, ClassVar, ParamSpec, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypeVar, cast
 
 from casadi_skin.model.arguments import check_options
 
@@ -47,6 +47,20 @@ def in_turn(function: Callable[P, T]) -> Callable[P, T]:
                 TURN.release()
 
     return alone
+
+
+def kept_by_first(function: Callable[P, T]) -> Callable[P, T]:
+    """The function with results that its first argument keeps while it is there: a cache would hold on to it, too."""
+
+    @functools.wraps(function)
+    def found(*arguments: P.args, **options: P.kwargs) -> T:
+        known = vars(arguments[0]).setdefault(f"{function.__module__}.{function.__name__}", {})
+        key = (*arguments[1:], *options.items())
+        if key not in known:
+            known[key] = function(*arguments, **options)
+        return cast(T, known[key])
+
+    return found
 
 
 def renamed(**older: str) -> Callable[[Callable[P, T]], Callable[P, T]]:

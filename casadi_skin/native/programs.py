@@ -96,6 +96,12 @@ def _call(called: ca.Function, program: Program, given: list[ca.SX], symbols: li
     return call
 
 
+def buffers(function: ca.Function, count: int, programs: Sequence[Program]) -> Buffers:
+    """A function at so many places; each of the programs that it calls takes all of them at once."""
+    calls = Calls.of(function, programs)
+    return Buffers(function, count) if calls is None else CallingBuffers(calls, count)
+
+
 class CallingBuffers(Buffers):
     """These of a function that calls programs; for other kernels it is none of operations."""
 

@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from casadi_skin import native
 from casadi_skin.model.conserved import SymmetryClass, directions, is_odd, quantities
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import kept_by_first
 from casadi_skin.native import MOST_STATES, kernels
+from casadi_skin.native.programs import buffers
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import LARGEST_LOGARITHM
 from casadi_skin.zero.problem import Array, Buffers, Indices
@@ -365,13 +367,13 @@ def _well_directed(vectors: Array) -> NDArray[np.bool_]:
     return np.asarray(smallest > SLOWEST_MOTION_RATIO * np.max(smallest))
 
 
-@lru_cache(maxsize=64)
+@kept_by_first
 def _vectors(model: OdeModel, places: int) -> tuple[Buffers, int]:
     """Function (t, x, p) -> directions of time and of symmetries, then gradients; and the number of directions."""
     moved = [model.full_rhs, *directions(model).values()]
     slopes = [ca.gradient(quantity, model.full_state) for quantity in quantities(model).values()]
     function = model.function("trivial", *(ca.densify(e) for e in (*moved, *slopes)))
-    return Buffers(function, places), len(moved)
+    return buffers(function, places, model.programs), len(moved)
 
 
 MACHINE_EPSILON = float(np.finfo(float).eps)

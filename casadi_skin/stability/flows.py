@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from itertools import groupby
 from typing import TypeVar
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from casadi_skin.model.conserved import symmetry_class
 from casadi_skin.model.integrators import CvodesError, CvodesOptions, run_cvodes
 from casadi_skin.model.ode import OdeModel
+from casadi_skin.model.result import kept_by_first
 from casadi_skin.native import kernels, transitions
 from casadi_skin.stability.reduction import blocks_of, frobenius_norms
 from casadi_skin.zero.problem import Array, Buffers, Problem
@@ -496,7 +497,7 @@ def transition_by_cvodes(model: OdeModel, start: Array, numbers: Array, local: f
     return np.asarray(np.array(found) * units[:, None] / units)
 
 
-@lru_cache(maxsize=16)
+@kept_by_first
 def _sensitivities(model: OdeModel, local: float, stiff: bool) -> ca.Function:
     """The flow of states in units over a time of 1, with its sensitivity: of parameters, duration and units."""
     kind, n = type(model.state), model.full_size

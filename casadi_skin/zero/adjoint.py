@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -27,6 +27,7 @@ import numpy as np
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.model.pickled import programs_in
+from casadi_skin.model.result import kept_by_first
 from casadi_skin.zero.augmented import Augmented
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.linearised import Linearised, by_parts
@@ -61,13 +62,13 @@ def _pull(values: Expression, before: Sequence[Expression], moving: Sequence[Exp
     return ca.Function("pull", [*before, *moving, last, left, *ways], results)
 
 
-@lru_cache(maxsize=32)
+@kept_by_first
 def _of_formulation(f: Formulation, name: str, second: bool, count: int) -> ca.Function:
     before, moving = ([], [*f.ends, f.scalars]) if name == "conditions" else ([f.s], [f.x, f.scalars])
     return _pull(getattr(f, name), before, moving, f.constants, second).map(count)
 
 
-@lru_cache(maxsize=32)
+@kept_by_first
 def _of_rest(model: OdeModel, second: bool) -> ca.Function:
     kind = type(model.state)
     return _pull(ca.densify(model.rhs), [], [model.state, model.parameters], kind.sym("none", 0), second)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.expressions import Expression
+from casadi_skin.model.result import kept_by_first
 from casadi_skin.zero.balanced import BalancedMatrix, NullSpace, balanced, is_sparse, shifted, solution, upper_pair
 from casadi_skin.zero.discretisation import Formulation
 from casadi_skin.zero.half_plane import pair_near
@@ -363,7 +364,7 @@ class Linearised:
         return np.array(function(places, x, *problem.repeated(self.z, stages.size), *along))
 
 
-@lru_cache(maxsize=32)
+@kept_by_first
 def _directional(formulation: Formulation, name: str, order: int, count: int = 1) -> ca.Function:
     """Function (places, scalars, constants, directions in states and scalars) -> derivative of `name` in these.
 

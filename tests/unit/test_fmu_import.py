@@ -29,6 +29,7 @@ from casadi_skin import (
     Chain,
     OdeModel,
     evolve,
+    find_equilibrium,
     find_orbit,
     follow_family,
     import_fmu,
@@ -534,6 +535,19 @@ def test_folder_goes_with_the_model(chain_fmu: Path, own_temporary_folder: Path)
     other.close()
     assert len(left_behind()) == 1
     del model
+    gc.collect()
+    assert left_behind() == set()
+
+
+def test_folder_goes_when_a_branch_does(foreign: Path, own_temporary_folder: Path) -> None:
+    """Its equilibria, orbits, their stability and special points: nothing that is kept holds the model."""
+    model: FmuModel | None = import_fmu(foreign, parameters=["mu"])
+    orbit = find_orbit(model, lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+    rests = find_equilibrium(model, [0.0, 0.0], parameters={"mu": -0.5}).follow("mu", 0.5)
+    assert orbit.follow("mu", 1.3).stable.all()
+    assert len(rests.special_points) == 1
+    assert len(left_behind()) == 1
+    del model, orbit, rests
     gc.collect()
     assert left_behind() == set()
 

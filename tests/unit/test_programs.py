@@ -14,7 +14,7 @@ from foreign_fmus import Change, casadi_van_der_pol, changed
 from kernels import numpy_alone
 from numpy.typing import NDArray
 
-from casadi_skin import OdeModel, import_fmu
+from casadi_skin import OdeModel, find_orbit, import_fmu
 from casadi_skin.fmu.archive import export_fmu
 from casadi_skin.fmu.fmu_component import Component
 from casadi_skin.fmu.model import FmuModel
@@ -115,6 +115,15 @@ def test_all_places_are_in_few_calls(van_der_pol: Path, tmp_path: Path, computed
         computed.clear()
         CallingBuffers(calls, PLACES)(*places(model))
         assert 0 < len(computed) <= most
+
+
+def test_orbits_and_branches_take_their_meshes_in_few_calls(van_der_pol: Path, computed: list[tuple[int, int]]) -> None:
+    model = import_fmu(van_der_pol, parameters=["mu"])
+    computed.clear()
+    orbit = find_orbit(model, lambda t: [2.0 * np.cos(t), -2.0 * np.sin(t)], 6.6, parameters={"mu": 1.0})
+    assert orbit.follow("mu", 1.5).stable.all()
+    sizes = np.array([last - first for first, last in computed])
+    assert np.median(sizes) > 20
 
 
 def test_derivatives_that_nobody_asks_for_are_not_computed(van_der_pol: Path, tmp_path: Path) -> None:
