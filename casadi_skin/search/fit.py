@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_skin.follow.solution import Solution
 from casadi_skin.follow.special_points import SpecialPoint
 from casadi_skin.model.arguments import check_name, number, short_repr, with_error
 from casadi_skin.model.result import Result, in_turn
@@ -143,7 +144,8 @@ def _stated(measured: Any, over: Any, bounds: Any) -> tuple[DesignProblem, list[
     names = over if isinstance(over, list | tuple) else [over]
     for k, item in enumerate(measured, start=1):
         place = f"measured, item {k}"
-        if not (isinstance(item, tuple | list) and item) or len(item) != 4 - isinstance(item[0], SpecialPoint):
+        known = isinstance(item, tuple | list) and item and isinstance(item[0], SpecialPoint | Solution)
+        if not known or len(item) != 4 - isinstance(item[0], SpecialPoint):
             raise TypeError(f"{place}: given {short_repr(item)}; accepted: {ITEM_WORDS}")
         thing, quantity = item[0], item[0].parameter if len(item) == 3 else item[1]
         value, deviation = number(place, item[-2]), number(place, item[-1])

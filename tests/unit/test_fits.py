@@ -156,6 +156,7 @@ def test_what_is_refused() -> None:
         ([], ["a"], r"measured: given \[\]; accepted: a list of"),
         ([first], ["a"], "measured, item 1: given <fold"),
         ([good, ()], ["a"], r"measured, item 2: given \(\); accepted"),
+        ([good, (3, "x", 0.0, 0.1)], ["a"], r"measured, item 2: given \(3, .x., 0.0, 0.1\); accepted"),
         ([(first, "p", 0.4, 0.1)], ["a"], "measured, item 1: given"),
         ([(first, 0.4, 0.0)], ["a"], "measured, item 1: given the standard deviation 0; accepted: one > 0"),
         ([(first, np.nan, 0.1)], ["a"], "measured, item 1: given nan"),
