@@ -165,10 +165,10 @@ class DesignProblem:
         errors, derivatives = zip(*(thing.errors for thing in things), strict=True)
         own, (rows, by_numbers) = np.concatenate(errors), map(np.array, self.function(numbers))
         parts = np.abs(by_numbers) * own
-        for k in np.flatnonzero(own):
-            for side in (-own[k], own[k]):
-                moved = np.array(self.function(numbers + side * (np.arange(own.size) == k))[0])
-                parts[:, k] = np.fmax(parts[:, k], np.abs(moved - rows)[:, 0])
+        if np.any(own):
+            sides = np.hstack([np.diag(own), -np.diag(own)])
+            moved = np.abs(np.array(self.function(numbers[:, None] + sides)[0]) - rows)
+            parts = np.fmax(parts, np.max(moved.reshape(len(rows), 2, -1), axis=1))
         return np.sum(parts, axis=1), np.abs(by_numbers) @ np.vstack(derivatives)
 
 
