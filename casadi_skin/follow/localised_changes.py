@@ -59,7 +59,7 @@ def localised_changes(family: Family, points: Sequence[Point]) -> StabilityDiagr
     Returns:
         Changes, with those that do not alter stability, and what is unresolved.
     """
-    with one_thread(), np.errstate(all="ignore"):  # numbers that are not finite are not counted, and named
+    with one_thread(), np.errstate(all="ignore"):
         return EdgeOrbits(family, points).diagram()
 
 
@@ -167,6 +167,8 @@ class EdgeOrbits:
 
     def gap(self, start: float, end: float, reason: str) -> None:
         """Name a stretch on which it is not known what changes: its S is right to a few digits, without an orbit."""
+        if self.gaps and (self.gaps[-1].coordinates[1], self.gaps[-1].reason) == (start, reason):  # it goes on
+            start = self.gaps.pop().coordinates[0]
         at = [float(np.interp(c, self.coordinates, [self.S(point) for point in self.points])) for c in (start, end)]
         self.gaps.append(Unresolved(at[0], at[1], reason, coordinates=(start, end)))
 
@@ -439,11 +441,10 @@ class EdgeSearch(Search):
     ) -> tuple[Place, float] | None:
         """The place where two multipliers of a gap meet, and the exponent there; raises MeetingError.
 
-        The square of half their distance is zero there. They are followed from the end at which they are in the gap, so
-        that at any orbit between they are those nearest to the ones of the known orbit whose Omega is nearest.
+        The square of half their distance is zero there. They are known at the end at which they are in the gap; at
+        any other orbit they are those nearest to the ones of the known orbit whose Omega is nearest.
         """
-        leaves = before.off < after.off
-        (start, counts), ends = (stretch.first, before) if leaves else (stretch.last, after), stretch.samples
+        start, counts = (stretch.first, before) if before.off < after.off else (stretch.last, after)
         orbit = self.orbit(start.point)
         zeros = [orbit.layout.gaps[number].place(sigma) for sigma in counts.zeros[number]]
         one, other = min(pairwise(zeros), key=lambda two: two[1] - two[0])
@@ -454,10 +455,6 @@ class EdgeSearch(Search):
             pairs[hill.Omega] = _pair_near(hill, layout.gaps[number], *pairs[near])
             return pairs[hill.Omega][1]
 
-        for part in np.linspace(0.0, 1.0, INTERVAL_PARTS + 1)[1:-1].tolist():
-            point = self.along(ends[0].point, ends[-1].point, part if leaves else 1.0 - part)
-            if point is not None and square(self.orbit(point).hill, self.orbit(point).layout) < 0.0:
-                break
         root = self.root_of(
             stretch, lambda point: square(self.orbit(point).hill, self.orbit(point).layout), 0.0, diagram.COMPLEX
         )
@@ -517,7 +514,6 @@ class EdgeSearch(Search):
 PAIR_STEPS = 12
 PAIR_REACH = 0.1  # to either side of a pair: where D is a series
 PAIR_DEGREE = 16
-INTERVAL_PARTS = 8  # of a stretch, by which a pair is followed
 DIFFERENCE = 1e-6  # of Omega, for derivatives by an exponent
 COORDINATE_DIFFERENCE = 1e-3  # of the stretch, for derivatives along the branch
 ARC_VALUES = 100  # values under an arc among which the smallest determinant is sought
