@@ -157,7 +157,7 @@ class CoSimulation(WithVerbs):
             return self._returns(replace(way, factors=factors), scale, unit)
 
         at = returns(SAME)
-        others = [returns(SMALLER_TOLERANCE), self._other_step(returns, x / scale)]
+        others = self._others(returns, x / scale)
         again = self._returns(replace(way, cycles=2 * way.cycles), scale, unit)
         found = fixed_point(at, x / scale, others, again, self.forcing_period is None)
         motion, state = self._return(found.y * scale, way), found.y * scale
@@ -238,8 +238,10 @@ class CoSimulation(WithVerbs):
         """The motion from a state to its return; raises SlaveError."""
         if self.forcing_period is None:
             return self._crossing(x, way)
-        steps = way.cycles * round(self.forcing_period / (way.factors[0] * self.step))
-        path = list(itertools.islice(self._motion(x, way), steps + 1))
+        steps = self.forcing_period / (way.factors[0] * self.step)
+        if abs(steps - round(steps)) > SAME_VALUE_RTOL * steps:
+            raise SlaveError(f"{self.path}: {steps:.3g} steps in a period; accepted: a whole number")
+        path = list(itertools.islice(self._motion(x, way), way.cycles * round(steps) + 1))
         t, states = np.array([t for t, _ in path]), np.array([state for _, state in path])
         return _Return(t, states, way.cycles * self.forcing_period, states[-1])
 
@@ -295,10 +297,10 @@ class CoSimulation(WithVerbs):
 
         return at
 
-    def _other_step(self, returns: Callable[[tuple[float, float]], Returns], y: Array) -> Returns:
-        """The map in half the step; in twice where the slave has no such step, as one with its own steps."""
-        half = returns(SHORTER_STEP)
-        return half if np.all(np.isfinite(half(y))) else returns(LONGER_STEP)
+    def _others(self, returns: Callable[[tuple[float, float]], Returns], y: Array) -> list[Returns]:
+        """The map by a smaller tolerance, and in half the step; in twice where the slave has no such step."""
+        ways = [returns(factors) for factors in (SMALLER_TOLERANCE, SHORTER_STEP, LONGER_STEP)]
+        return [way for way in ways if np.all(np.isfinite(way(y)))][:2]
 
 
 def _plane(x: Array, normal: Array) -> Section:

@@ -69,11 +69,6 @@ class SlaveVariables(Variables):
             check_name("starts", name, names)
         return tuple(chosen("starts", [others.get(name, name) for name in names], self._reals))
 
-    @cached_property
-    def order(self) -> list[int]:
-        """Places of the states in the requested order: they are in that."""
-        return list(range(len(self.states)))
-
 
 class Slave:
     """The one running instance of an FMU for Co-Simulation, which begins anew from any state.

@@ -224,6 +224,12 @@ def test_slaves_whose_own_steps_do_not_end_with_those_of_communication(tmp_path:
     assert abs(orbit.period - 2 * np.pi) <= 1e-9
     assert not orbit.solver_seen
     assert "its error does not show: errors are those of the FMU's map alone" in str(orbit)
+    decaying = slave(tmp_path, odd="lags", mu=-0.1, cubic=0.0, force=1.0, drive=2 * np.pi / 0.03)
+    for step in (0.01, 0.03):  # three steps and one: neither half of them nor twice as many are had
+        orbit = import_co_simulation(decaying, forcing_period=0.03, step=step).find_orbit([0.0, 0.0])
+        assert abs(abs(orbit.multipliers[0]) - math.exp(-0.003)) <= orbit.multiplier_errors[0] <= 1e-5
+        assert not orbit.solver_seen
+    path = slave(tmp_path, odd="lags", mu=0.1)
     said = refusal(import_co_simulation, path, step=0.025)
     assert said.endswith("it is at t = 0.02 after a step to 0.025; accepted: steps that are multiples of its own")
     forced = import_co_simulation(slave(tmp_path, odd="lags", mu=-0.1, force=1.0), forcing_period=4.0, step=0.02)
