@@ -145,7 +145,9 @@ class CoSimulation(WithVerbs):
             TypeError, ValueError: An argument is of another kind, or out of range.
         """
         x, way = self._request(guess, period, parameters, section, cycles)
-        if number("transient", transient) > 0.0:
+        if number("transient", transient) < 0.0:
+            raise ValueError(f"transient: given {transient!r}; accepted: a number >= 0")
+        if transient:
             steps = math.ceil(transient / self.step)
             if self.forcing_period is not None:
                 steps = math.ceil(transient / self.forcing_period) * round(self.forcing_period / self.step)
@@ -188,6 +190,9 @@ class CoSimulation(WithVerbs):
         x = np.array(numbers("guess", state))
         if x.size != len(self.state_names):
             raise ValueError(f"guess: given {x.size} numbers; accepted: {len(self.state_names)}, one for each state")
+        if x.size == 1 and self.forcing_period is None:
+            words = "one state without forcing has no orbit; accepted: states= with all of them, or forcing_period="
+            raise ValueError(f"{self.path}: {words}")
         model: Any = self
         values = tuple(named_values(model, parameters).values())
         for label, given in (("period", period), ("section", section)):
@@ -197,6 +202,8 @@ class CoSimulation(WithVerbs):
             raise ValueError(f"period: given {period!r}; accepted: a number > 0")
         if section is not None and not callable(section):
             raise TypeError(f"section: given {short_repr(section)}; accepted: a function of the state")
+        if section is not None:
+            number("section(guess)", section(x))
         return x, _Way(self._all_given(values, 0.0), section, whole("cycles", cycles, 1), 0.5 * (period or 0.0))
 
     def _placed(self, x: Array, way: _Way) -> tuple[_Way, Array, Array]:

@@ -213,15 +213,20 @@ def _judged(
 def _hidden(
     at: Returns, y: Array, again: Returns, residuals: Sequence[tuple[Returns, Array]], largest: float
 ) -> Array:  # fmt: skip
-    """How far going on from a return leads elsewhere than starting anew from it, which a map of y alone does not."""
-    hidden = np.asarray((again(y) - at(at(y)[:-1]))[:-1])
+    """How far going on from a return leads elsewhere than starting anew from it, which a map of y alone does not.
+
+    Times of returns tell, too: the states at a crossing may all be held by the section.
+    """
+    first = at(y)
+    hidden = np.asarray(again(y) - at(first[:-1]))
+    hidden[-1] -= first[-1]
     size, seen = float(np.max(np.abs(hidden))), max(float(np.max(np.abs(residual))) for _, residual in residuals)
     if not size <= LARGEST_HIDDEN + 100.0 * seen * (1.0 + largest):
         raise BoundaryError(
             f"after a return it goes on elsewhere than it starts anew from there, by {size:.1e} of the states' ranges;"
             " accepted: states= with all of them, and forcing_period= where it depends on time"
         )
-    return hidden
+    return hidden[:-1]
 
 
 def _multipliers(

@@ -241,6 +241,8 @@ def test_states_that_are_not_named_or_not_set_are_refused(tmp_path: Path) -> Non
     said = refusal(hidden.find_orbit, [0.3, 0.0])
     assert said.startswith("after a return it goes on elsewhere than it starts anew from there")
     assert "accepted: states= with all of them, and forcing_period= where it depends on time" in said
+    alone = import_co_simulation(slave(tmp_path, mu=0.1), states=["x"])  # its section leaves no state to differ
+    assert "one state without forcing has no orbit; accepted: states= with all of them" in refusal(alone.find_orbit)
     depends = import_co_simulation(slave(tmp_path, mu=0.1, force=0.05, drive=0.3))
     assert "starts anew" in refusal(depends.find_orbit, [0.3, 0.0])
     path = slave(tmp_path, odd="never set", mu=0.1)
@@ -273,6 +275,8 @@ def test_arguments_that_do_not_fit_are_refused_in_a_line(tmp_path: Path) -> None
         ("guess: given 1 numbers; accepted: 2, one for each state", {"guess": [1.0]}),
         ("parameters: given 'nu'; accepted: mu", {"parameters": {"nu": 1.0}}),
         ("section: given 3; accepted: a function of the state", {"section": 3}),
+        ("section(guess): given 'x'; accepted: a finite number", {"section": lambda x: "x"}),
+        ("transient: given -1.0; accepted: a number >= 0", {"transient": -1.0}),
         ("cycles: given 0; accepted: a whole number >= 1", {"cycles": 0}),
         ("period: given -1.0; accepted: a number > 0", {"period": -1.0}),
     ):
@@ -315,6 +319,13 @@ def noisy_cubic(
     return ends + noise * (rough - np.floor(rough) - 0.5)
 
 
+def twice(at: Any, y: Any) -> Any:
+    """The map to the second return, and the time up to it."""
+    first = at(y)
+    second = at(first[:-1])
+    return np.append(second[:-1], first[-1] + second[-1])
+
+
 @pytest.mark.parametrize("n", [1, 3, 6, 60])
 def test_errors_of_fixed_points_of_noisy_maps(n: int) -> None:
     """y = P(y) of a cubic map whose noise jumps, with an error that other ways show; many states by Krylov spaces."""
@@ -336,7 +347,7 @@ def test_errors_of_fixed_points_of_noisy_maps(n: int) -> None:
         at = way(10 * noise, 1.0)
         ways = [way(noise, 1.3), way(5 * noise, 1.7)]
         start = centre + 0.01 * rng.normal(size=n) / n
-        found = fixed_point(at, start, ways, lambda y, at=at: at(at(y)[:-1]), False)
+        found = fixed_point(at, start, ways, partial(twice, at), False)
         ratios.append(np.max(np.abs(found.y - centre) / found.errors))
         ratios.append(abs(found.period - 1.0) / found.period_error)
         for value, error in zip(found.multipliers, found.multiplier_errors, strict=True):
@@ -354,7 +365,7 @@ def test_noise_alone_is_in_the_errors(noise: float) -> None:
     for seed in range(30):
         centre = np.random.default_rng(seed).normal(size=2)
         at = partial(noisy_cubic, np.diag([0.95, -0.3]), centre, np.ones(2), noise, 0.0, 1.0 + seed)
-        found = fixed_point(at, centre + 0.01, [], lambda y, at=at: at(at(y)[:-1]), False)
+        found = fixed_point(at, centre + 0.01, [], partial(twice, at), False)
         off.append(np.max(np.abs(found.y - centre) / found.errors))
         assert np.all(found.errors >= [10 * noise, noise])
         assert np.all(found.errors <= 1e3 * noise)
@@ -368,7 +379,7 @@ def test_the_error_of_an_orbit_is_in_its_multipliers() -> None:
         return np.append(0.99 * y + 3.0 * y**2 + error, 1.0)
 
     at = partial(way, 1e-8)
-    found = fixed_point(at, np.array([1e-4]), [partial(way, 0.0)], lambda y: at(at(y)[:-1]), False)
+    found = fixed_point(at, np.array([1e-4]), [partial(way, 0.0)], partial(twice, at), False)
     assert 5e-6 <= abs(found.multipliers[0] - 0.99) <= found.multiplier_errors[0] <= 1e-4
 
 
@@ -389,4 +400,17 @@ def test_maps_without_a_fixed_point_are_refused() -> None:
     with pytest.raises(
         BoundaryError, match=r"no orbit is found: the nearest motion comes back to 1\.0e-01 of the ranges"
     ):
-        fixed_point(shift, np.array([0.5]), [], lambda y: shift(shift(y)[:-1]), False)
+        fixed_point(shift, np.array([0.5]), [], partial(twice, shift), False)
+
+
+def test_a_second_return_that_takes_another_time_is_no_map() -> None:
+    """As where a section holds the one state that is named, and the others go on."""
+
+    def still(y: Any) -> Any:
+        return np.append(0.5 * y, 1.0)
+
+    def later(y: Any) -> Any:
+        return np.append(0.25 * y, 2.1)
+
+    with pytest.raises(BoundaryError, match="after a return it goes on elsewhere than it starts anew from there"):
+        fixed_point(still, np.array([0.1]), [], later, True)
