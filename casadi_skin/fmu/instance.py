@@ -10,7 +10,8 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import wraps
+from typing import Any, Concatenate
 
 import casadi as ca
 import numpy as np
@@ -20,12 +21,23 @@ from casadi_skin.fmu.fmu_component import DISCARD_STATUS, MOST_COMPLAINTS, NONE,
 from casadi_skin.fmu.initial_value_problem import InitialValueProblem
 from casadi_skin.model.arguments import short_repr
 from casadi_skin.model.expressions import Expression
+from casadi_skin.model.interrupts import P, T, holding
 from casadi_skin.model.ode import OdeModel
 from casadi_skin.native import Indices
 
 SHIFTED_SETS = 6  # sets of values that differences with three steps take for each parameter
 MOST_COMPONENTS = 64
 Bytes = bytearray | memoryview | None  # CasADi gives None for zeros, and for a result that nobody wants
+
+
+def _alone(method: Callable[Concatenate[FmuInstance, P], T]) -> Callable[Concatenate[FmuInstance, P], T]:
+    """The method, for one thread at a time: two of them must not set the one state."""
+
+    @wraps(method)
+    def alone(self: FmuInstance, /, *arguments: P.args, **options: P.kwargs) -> T:
+        return holding(self._lock, method, self, *arguments, **options)
+
+    return alone
 
 
 class FmuInstance:
@@ -39,7 +51,7 @@ class FmuInstance:
     def __init__(self, unpacked: Unpacked, variables: Variables) -> None:
         self.path, self.unpacked, self.variables, self.given = unpacked.path, unpacked, variables, variables.given
         self._failure = call_error()
-        self._lock = threading.Lock()  # two threads of a map must not set the one state
+        self._lock = threading.Lock()
         self.complaints = deque[str](maxlen=MOST_COMPLAINTS)
         self._moved = np.array([k for k, e in enumerate(self.given) if e.is_input], dtype=int)
         self._held = np.array([k for k, e in enumerate(self.given) if not e.is_input], dtype=int)
@@ -81,27 +93,27 @@ class FmuInstance:
         along = None if seeds is None else known.spread(seeds)
         return Points((states, len(self.given)), self._inputs, wanted, known, along, parts, indicators)
 
+    @_alone
     def numbers(self, at: Points, t: Array, x: Array, p: Array) -> Array:
         """Those of any number of points, one a row of all of these; NaN where the FMU cannot compute them."""
         found = np.empty((len(t), at.pick.size))
-        with self._lock:
-            for first in range(0, len(t), at.rows):
-                part = slice(first, first + at.rows)
-                rows = len(t[part])
-                at.t[:rows], at.x[:rows], at.p[:rows] = t[part], x[part], p[part]
-                self._compute(at, rows)
-                found[part] = at.numbers[:rows]
+        for first in range(0, len(t), at.rows):
+            part = slice(first, first + at.rows)
+            rows = len(t[part])
+            at.t[:rows], at.x[:rows], at.p[:rows] = t[part], x[part], p[part]
+            self._compute(at, rows)
+            found[part] = at.numbers[:rows]
         return found
 
+    @_alone
     def answer(self, at: Points, given: Sequence[Bytes], results: Sequence[Bytes]) -> None:
         """Parts of the numbers at one point from views of its time, state and parameters; NaN where one is not had."""
-        with self._lock:
-            for own, view in zip(at.given, given, strict=False):
-                own[:] = view or bytes(own.nbytes)
-            self._compute(at, 1)
-            for part, result in zip(at.parts, results, strict=True):
-                if result:
-                    result[:] = part
+        for own, view in zip(at.given, given, strict=False):
+            own[:] = view or bytes(own.nbytes)
+        self._compute(at, 1)
+        for part, result in zip(at.parts, results, strict=True):
+            if result:
+                result[:] = part
 
     def indicators(self, t: Array, x: Array, p: Array) -> tuple[Array, Pattern]:
         """Event indicators at points, one a row of all of these, and which of them are positive at the FMU's start."""

@@ -18,8 +18,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from types import FrameType
-from typing import Any
+from typing import Any, ParamSpec, Protocol, TypeVar
 
+P = ParamSpec("P")
+T = TypeVar("T")
 SECONDS_TO_AGAIN = 0.01  # seconds after which a block that goes on is ended again
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # the last is that of a window that is closed on Windows
 ENDING = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
@@ -147,6 +149,28 @@ def interrupts_deferred(end_solver: bool = False) -> Iterator[None]:
             signal.raise_signal(number)
     if failure is not None:
         raise failure
+
+
+class Lock(Protocol):
+    """A lock of `threading`, of either kind."""
+
+    def acquire(self, blocking: bool = True) -> bool: ...
+    def release(self) -> None: ...
+
+
+def holding(lock: Lock, function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
+    """What a function returns that is called while this thread has a lock.
+
+    From Python 3.14 on `with` may be interrupted when it has the lock already and not yet begun its block, and the lock
+    would not be given back. Here the lock is taken and noted by one call that nothing interrupts in between.
+    """
+    held = list[bool]()
+    try:
+        held.extend(map(lock.acquire, (True,)))
+        return function(*arguments, **options)
+    finally:
+        if held:
+            lock.release()
 
 
 def end_group(process: subprocess.Popen[Any]) -> None:

@@ -16,12 +16,10 @@ import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import FunctionType
-from typing import Any, ClassVar, ParamSpec, TypeVar, cast
+from typing import Any, ClassVar, cast
 
 from casadi_skin.model.arguments import check_options
-
-P = ParamSpec("P")
-T = TypeVar("T")
+from casadi_skin.model.interrupts import P, T, holding
 
 
 class NoQuantityError(ValueError, AttributeError):
@@ -38,13 +36,7 @@ def in_turn(function: Callable[P, T]) -> Callable[P, T]:
 
     @functools.wraps(function)
     def alone(*arguments: P.args, **options: P.kwargs) -> T:
-        held = list[bool]()
-        try:  # from 3.14 on `with` may be interrupted when it has the lock and would not give it back: this is one call
-            held.extend(map(TURN.acquire, (True,)))
-            return function(*arguments, **options)
-        finally:
-            if held:
-                TURN.release()
+        return holding(TURN, function, *arguments, **options)
 
     return alone
 

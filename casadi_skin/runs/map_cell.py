@@ -27,7 +27,7 @@ import numpy as np
 from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.solution import Solution
 from casadi_skin.model.arguments import in_words
-from casadi_skin.model.result import TURN
+from casadi_skin.model.result import in_turn
 from casadi_skin.points.edges import parameters_of
 from casadi_skin.points.gradient import Gradient, NoGradientError
 from casadi_skin.results.quantities import (
@@ -351,11 +351,12 @@ class Computer:
     def __reduce__(self) -> tuple[Any, ...]:
         return _computer_of_worker, (self.tables, self.path, self.growth)
 
+    @in_turn
     def __call__(self, task: Task, *_: object) -> Result:
         """The rows of a task; a failure is kept in words."""
         started = time.perf_counter()
         try:
-            with TURN, one_thread(), warnings.catch_warnings():
+            with one_thread(), warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 rows, meanings = self._rows(task)
             return Result(tuple(rows), seconds=time.perf_counter() - started, meanings=meanings)

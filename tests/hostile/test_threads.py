@@ -12,11 +12,12 @@ import multiprocessing
 import os
 import pickle
 import re
+import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from types import FunctionType
@@ -24,6 +25,7 @@ from typing import Any
 
 import casadi as ca
 import matplotlib
+import matplotlib.style
 import numpy as np
 import pytest
 from kernels import needs_kernels, numpy_alone
@@ -272,6 +274,21 @@ def test_an_interrupt_ends_the_main_thread_alone(busy: Branch) -> None:
     with pytest.raises(KeyboardInterrupt):
         on_and_on()
     assert busy.at(S=0.7).states.tobytes() == expected
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timers")
+def test_interrupts_of_the_style_leave_the_turn_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    # What takes most of the time is left out: interrupts come as the turn begins or ends, from 3.14 on in between, too.
+    monkeypatch.setattr(matplotlib.style, "context", lambda *_, **__: nullcontext())
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    for delay in np.linspace(1e-5, 2e-3, 100):
+        with suppress(KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, delay)
+            for _ in range(20_000):
+                with style():
+                    pass
+    signal.signal(signal.SIGALRM, before)
+    assert together(lambda: TURN.acquire(timeout=1.0) and TURN.release() is None) == [True]
 
 
 # Whatever is public ---------------------------------------------------------------------------------------------------

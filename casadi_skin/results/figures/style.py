@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.model.files import replacing
-from casadi_skin.model.result import TURN, P, T, in_turn
+from casadi_skin.model.interrupts import P, T
+from casadi_skin.model.result import TURN, in_turn
 from casadi_skin.zero.problem import Array
 
 if TYPE_CHECKING:
@@ -176,8 +177,14 @@ def style() -> Iterator[None]:
     """
     import matplotlib.style
 
-    with TURN, matplotlib.style.context(_settings(), after_reset=True):
-        yield
+    held = list[bool]()
+    try:  # as `holding` has it
+        held.extend(map(TURN.acquire, (True,)))
+        with matplotlib.style.context(_settings(), after_reset=True):
+            yield
+    finally:
+        if held:
+            TURN.release()
 
 
 def drawn(draw: Callable[P, T]) -> Callable[P, T]:
