@@ -52,7 +52,7 @@ def hill(orbit: Orbit, sigma: complex, sites: int = 110, sidebands: int = 12) ->
     blocks = [np.diag(own) + by_harmonic[(m[:, None] - m) % 256, n] for n in range(sites)]
     blocks[-1] = blocks[-1] - s * np.diag(decay)
     beside = diags_array([-s * np.ones((sites - 1) * m.size)] * 2, offsets=[-m.size, m.size])
-    return csc_array(block_diag(blocks) + beside)
+    return csc_array(block_diag([csc_array(block) for block in blocks]) + beside)
 
 
 def exact_mu(orbit: Orbit, mu: complex) -> complex:

@@ -517,7 +517,7 @@ def _joined(distance: Array, nearest: Array, farthest: Array, coupling: Array, g
         glued: which are together whatever the distances are.
     """
     away = np.clip(distance / np.maximum(farthest, 1e-300), 1.0, 1e3)
-    expected = coupling * away**2 / np.maximum(distance, 1e-300) * (away + np.sqrt(away**2 - 1.0)) ** -SERIES_DEGREE
+    expected = coupling * away**2 / np.maximum(distance, 1e-250) * (away + np.sqrt(away**2 - 1.0)) ** -SERIES_DEGREE
     joined = (
         (distance < MEETING_HALF_LENGTHS * farthest)
         | (coupling > (COUPLING_RATIO * nearest) ** 2)
