@@ -65,7 +65,8 @@ def compiler_of_quick_runs(pytestconfig: pytest.Config, tmp_path_factory: pytest
     compiler = shutil.which(os.environ.get("CC", "cc"))
     with pytest.MonkeyPatch.context() as patch:
         takes_times = pytestconfig.option.markexpr == "benchmark"
-        if compiler is not None and not slow_run(pytestconfig) and not takes_times:
+        scripts = os.name == "posix"  # Windows starts none in the place of a program
+        if scripts and compiler is not None and not slow_run(pytestconfig) and not takes_times:
             script = tmp_path_factory.mktemp("compiler") / "cc"
             script.write_text(f'#!/bin/sh\nexec {compiler} "$@" -O0\n', encoding="utf-8")
             script.chmod(0o755)

@@ -399,8 +399,9 @@ def build_c(path: str | Path, compiler: str | None = None) -> Path:
     sources = sorted(path.name for path in folder.glob("*.c") if "_ipopt" not in path.stem)
     if "main.c" not in sources:
         raise ValueError(f"path: given {short_repr(str(path))}; accepted: one that export_c wrote")
-    _compile(find_compiler(compiler), [*sources, "-lm", "-o", "main"], folder)
-    return folder / "main"
+    program = "main.exe" if os.name == "nt" else "main"
+    _compile(find_compiler(compiler), [*sources, "-lm", "-o", program], folder)
+    return folder / program
 
 
 # FMUs ---------------------------------------------------------------------------------------------------------------

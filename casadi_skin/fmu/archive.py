@@ -314,4 +314,5 @@ def _compiled(problem: InitialValueProblem, fmi: Fmi, files: dict[str, bytes]) -
         for file, text in files.items():
             if file.startswith("sources/"):
                 Path(folder, Path(file).name).write_bytes(text)
-        return {name: build_library(Path(folder), source_files(problem, fmi), Path(folder, "library")).read_bytes()}
+        target = Path(folder, Path(name).name)
+        return {name: build_library(Path(folder), source_files(problem, fmi), target).read_bytes()}

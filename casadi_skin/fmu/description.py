@@ -10,7 +10,6 @@ import ctypes
 import hashlib
 import itertools
 import math
-import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,7 +36,6 @@ DEEPEST_XML = 100  # elements of XML within each other
 CHUNK_BYTES = 1 << 16  # bytes
 MODEL_EXCHANGE, CO_SIMULATION = "ModelExchange", "CoSimulation"  # kinds of FMUs in the standard
 INTERFACES = {MODEL_EXCHANGE: "modelExchange", CO_SIMULATION: "coSimulation"}  # in fmpy's descriptions
-PLATFORMS = ("linux", "darwin")  # where FMUs are compiled and run
 Array = NDArray[np.float64]
 Pattern = NDArray[np.bool_]
 REAL_TYPES = ("Real", "Float64")
@@ -54,10 +52,8 @@ def fmpy_package() -> Any:
 
 
 def library_name(fmi: str, identifier: str) -> str:
-    """Name of this platform's library in an FMU of FMI 2.0 or 3.0; raises ValueError on other platforms."""
+    """Name of this platform's library in an FMU of FMI 2.0 or 3.0."""
     fmpy = fmpy_package()
-    if sys.platform not in PLATFORMS:
-        raise ValueError(f"platform: {sys.platform}; accepted: {', '.join(PLATFORMS)}")
     folder = fmpy.platform if fmi.startswith("2") else fmpy.platform_tuple
     return f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}"
 
