@@ -24,6 +24,12 @@ from scenes import run as run
 from casadi_skin.follow import family
 from casadi_skin.model.interrupts import ENDING
 
+if os.name != "posix":  # limits, locks and signals that Windows has not; benchmarks ask for peak memory
+    collect_ignore_glob = [
+        "benchmarks/*", "end_to_end/test_faults.py", "hostile/test_l*.py", "hostile/test_signals.py",
+        "unit/test_hostile_fmus.py", "unit/test_locking.py",
+    ]  # fmt: skip
+
 
 @pytest.hookimpl(optionalhook=True)  # tests run without pytest-xdist too, one after the other
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:

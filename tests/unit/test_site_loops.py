@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import resource
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -121,9 +121,9 @@ def test_a_large_plane_compiles_in_a_second(compiler: str, tmp_path: Path) -> No
     """Processor time; every row on its own took gcc half a minute."""
     source = export_c(plane([60, 60]), tmp_path / "c", ["rhs", "jacobian"], name="plane") / "plane.c"
     assert len(code(source, "plane")) < 45_000
-    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    before = os.times().children_user
     subprocess.run([compiler, "-std=c99", "-O2", "-c", str(source), "-o", str(tmp_path / "o.o")], check=True)
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 1
+    assert os.times().children_user - before < 1
 
 
 def test_every_operation_has_its_meaning(tmp_path: Path) -> None:
