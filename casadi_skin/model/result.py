@@ -64,7 +64,7 @@ def renamed(**older: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
             for old, new in older.items():
                 if old in options and new not in options:
                     words = f"{function.__name__}: the argument {old} is called {new}; {old} is taken until version 0.4"
-                    level = 3 if "." in function.__qualname__ else 2  # beyond `alone` of a method
+                    level = 4 if "." in function.__qualname__ else 2  # beyond `alone` and `holding` of a method
                     warnings.warn(words, DeprecationWarning, stacklevel=level)
                     options[new] = options.pop(old)
             return function(*arguments, **options)
