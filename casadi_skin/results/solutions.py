@@ -95,9 +95,11 @@ def _(result: MapOrbit) -> words.Shown:
     state = zip(result.state_names, result.state, result.state_error, strict=True)
     rows += [("state", words.listed(f"{name} = {with_error(value, error)}" for name, value, error in state))]
     rows += [("multipliers", words.complex_numbers(result.multipliers)), ("moduli", words.listed(moduli))]
-    rows += (
-        [] if result.solver_seen else [("solver", "its error does not show: errors are those of the FMU's map alone")]
-    )
+    if not result.solver_seen:
+        rows += [("solver", "its error does not show: errors are those of the FMU's map alone")]
+    if not np.all(np.isfinite(result.state_error)):
+        why = "1 may be a multiplier, as where something is conserved, or others are not known"
+        rows += [("errors", f"not bounded: {why}")]
     unresolved = f"unresolved: {words.complex_numbers(result.undecided)} may be on the unit circle"
     rows += [("stability", {True: "stable", False: "unstable", None: unresolved}[result.stable])]
 
