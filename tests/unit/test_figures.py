@@ -252,7 +252,7 @@ def test_spectrum_leaves_out_modes_that_do_not_oscillate() -> None:
 # Places -------------------------------------------------------------------------------------------------------------
 
 
-SLOWER = ("several", "multipliers", "steep")
+SLOWER = ("several", "multipliers", "square", "steep")
 
 
 @pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
@@ -263,6 +263,8 @@ def test_no_text_covers_another(draw: str, soft: Branch, plain: Branch) -> None:
             return frequency_figure([follow_family(SOFT, 8, 1e-7, tolerance=1e-4)])
         if draw == "several":
             return frequency_figure([soft, plain, follow_family(SOFT, 8, 0.02, tolerance=1e-4)])
+        if draw == "square":  # two square panels, which the width of the figure bounds, and nearly its height
+            return multiplier_figure(follow_family(SOFT, 1, 0.4, stability=True, events=False, tolerance=1e-4))
         if draw == "steep":
             return profile_figure([follow_family(Chain(20, 1.0, 0.99999, -1.0), 1, 0.01, at=[0.01], tolerance=1e-4)])
         return {"profile": profile_figure, "frequency": frequency_figure}.get(

@@ -150,4 +150,4 @@ def spectrum_figure(model: Any, parameters: Mapping[str, float] | None = None) -
         panels[letter].set_ylabel(rf"$u_{{{mode},n}}$")
         style.number_sites(panels[letter], *style.moving(u[None]), n if mode == 1 else "")
     figure.suptitle(style.title(model, parameters))
-    return style.finished(figure, (), 1, plain=True)
+    return style.finished(figure, (), 1)

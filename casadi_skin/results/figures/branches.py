@@ -240,7 +240,7 @@ def branch_figure(branch: Branch, title: str = "") -> Figure:
         panel.set_ylabel(label)
     axes[-1].set_xlabel(style.plain(space.parameter))
     axes[0].set_title(solution_title(branch.solutions[0], title, (space.parameter, *space.free)), y=1.0)
-    return style.finished(figure, axes, 5, in_black=True, plain=True)
+    return style.finished(figure, axes, 5, in_black=True)
 
 
 def _second_panel(branch: Branch) -> list[tuple[str, list[Array]]]:
@@ -286,7 +286,7 @@ def bifurcation_figure(branches: Sequence[Branch], title: str = "") -> Figure:
     name = style.plain(first.space.state_names[0]) + words * (False in at_rest)
     axes.set(xlabel=style.plain(held[0].parameter), ylabel=name)
     axes.set_title(solution_title(first, title, (held[0].parameter, *held[0].space.free)), y=1.0)
-    return style.finished(figure, [axes], 3, plain=True)
+    return style.finished(figure, [axes], 3)
 
 
 @style.drawn
@@ -318,7 +318,7 @@ def curves_figure(curves: Sequence[Branch], title: str = "") -> Figure:
         draw_special(axes, curve, path, 6)
     axes.set(xlabel=style.plain(first), ylabel=style.plain(second))
     axes.set_title(solution_title(curves[0].solutions[0], title, (first, second, *curves[0].space.free)), y=1.0)
-    return style.finished(figure, [axes], 4, plain=True)
+    return style.finished(figure, [axes], 4)
 
 
 @style.drawn
@@ -345,7 +345,7 @@ def edges_figure(curves: Sequence[EdgeCurve], title: str = "") -> Figure:
         colour, label = style.colours(len(kinds))[kinds.index(curve.kind)], words.get(curve.kind, curve.kind)
         draw_edge(axes, curve, lw=1.4, color=colour, label=label)
     axes.set_title(title or f"edges of tongues of {getattr(model, 'name', 'the chain')}", y=1.0)
-    return style.finished(figure, [axes], 4, plain=True)
+    return style.finished(figure, [axes], 4)
 
 
 def draw_edge(axes: Axes, curve: EdgeCurve, **look: Any) -> None:

@@ -178,7 +178,7 @@ def frequency_figure(branches: Sequence[Branch]) -> Figure:
     mode = style.family(branches[0]).coordinates.mode_number
     label = rf"frequency shift $\Omega - \omega_{{{mode}}}$" if shift else r"frequency $\Omega$"
     axes.set(xlabel=style.amplitude_label(model), ylabel=label)
-    return style.finished(figure, [axes], 3, in_black=True, plain=True)
+    return style.finished(figure, [axes], 3, in_black=True)
 
 
 # The power series of a family: its sums over the family, with the radius of convergence -------------------------------
@@ -335,7 +335,7 @@ def profile_figure(branches: Sequence[Branch]) -> Figure | None:
     figure.suptitle(style.title(model, parameters))
     figure.align_ylabels()
     several = any(passage for _, passage in keys)
-    return style.finished(figure, panels[:, 0], columns * (2 if several else 3), plain=True)
+    return style.finished(figure, panels[:, 0], columns * (2 if several else 3))
 
 
 # Orbits of a lattice in two dimensions: displacements in the plane, and their sizes -----------------------------------

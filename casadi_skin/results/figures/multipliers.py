@@ -288,7 +288,7 @@ def multiplier_figure(branch: Branch, title: str = "") -> Figure | None:
         look: dict[str, Any] = {"ha": "right", "bbox": {"fc": "white", "ec": "none", "pad": 0.5}, "zorder": 6}
         panels["a"].annotate(letter, (value, largest), (-5, 6), textcoords="offset points", **look)
     figure.suptitle(_title(branch, title))
-    return style.finished(figure, panels.values(), 3, plain=True)
+    return style.finished(figure, panels.values(), 3)
 
 
 def _panels(planes: int, with_angles: bool) -> tuple[Figure, dict[str, Axes]]:

@@ -56,7 +56,7 @@ def orbit_figure(solution: Solution, title: str = "") -> Figure:
         axes[1].plot(*points[0], "o", ms=5, mfc="white", mec="black", label=words)
         axes[1].set(xlabel=labels[0], ylabel=labels[1])
     figure.suptitle(orbit_title(solution, title))
-    return style.finished(figure, axes, STATES_SHOWN + 1, plain=True)
+    return style.finished(figure, axes, STATES_SHOWN + 1)
 
 
 def drawn_states(solution: Solution) -> Indices:
@@ -151,7 +151,7 @@ def portrait_figure(solutions: Sequence[Solution], title: str = "") -> Figure:
     if in_plane:
         axes[1].set(xlabel=names[0], ylabel=names[1])
     figure.suptitle(style.title(solutions[0].space.model, common, title))
-    return style.finished(figure, axes, 3, plain=True)
+    return style.finished(figure, axes, 3)
 
 
 def chosen_solutions(branches: Sequence[Branch]) -> list[Solution]:

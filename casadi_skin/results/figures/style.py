@@ -23,140 +23,9 @@ from casadi_skin.zero.problem import Array
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
-    from matplotlib.legend import Legend
-    from matplotlib.text import Text
 
     from casadi_skin.follow.branch import Branch
-
-# Places of panels in a figure: by constrained layout, or, which is quicker, from the sizes of texts alone -------------
-
-PANEL_GAP_POINTS = 4.0  # points between panels, and around all
-POINTS_PER_INCH = 72.0  # in an inch
-TICK_PAD, TITLE_PAD = 3.5, 6.0  # points between an axis and its labels, as matplotlib has them
-OFFSET_HEIGHT = 13.0  # points: of the power of ten above an axis
-Size = Callable[["Text | Legend | str"], tuple[float, float]]  # width and height in points
-
-
-def lay_out(figure: Figure, plain: bool) -> None:
-    """Place the panels of a figure once and for all, so that no engine does it again when it is saved.
-
-    Arguments:
-        figure: the figure; its legend is at its lower edge.
-        plain: whether panels stand in one grid, with ticks below and at the left, and nothing outside of them but
-            labels, titles and annotations: sizes of texts give their places, where constrained layout draws twice.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    renderer: Any = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
-    renderer.mathtext_parser = _parser()
-    if plain:
-        size_of = _ruler(figure, renderer)
-        for _ in range(2):  # ticks depend on places
-            _place(figure, renderer, size_of)
-    else:
-        ConstrainedLayoutEngine().execute(figure)
-    for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
-        x, y, width, height = np.round(axes.get_position(original=True).bounds, 9).tolist()
-        axes.set_position((x, y, width, height))
-
-
-@cache
-def _parser() -> Any:
-    """One parser of formulas for all figures, which keeps those it has parsed: each takes milliseconds."""
-    from matplotlib.backends.backend_agg import RendererAgg
-
-    return RendererAgg(1, 1, POINTS_PER_INCH).mathtext_parser  # type: ignore[no-untyped-call]
-
-
-def _ruler(figure: Figure, renderer: Any) -> Size:
-    """Gives width and height in points of a text, a legend, or the label of a tick, each of which is measured once."""
-    from matplotlib.text import Text
-
-    @cache
-    def size_of(shown: Text | Legend | str) -> tuple[float, float]:
-        artist = Text(text=shown, figure=figure) if isinstance(shown, str) else shown
-        box, points = artist.get_window_extent(renderer), figure.dpi / POINTS_PER_INCH
-        return box.width / points, box.height / points
-
-    return size_of
-
-
-def _place(figure: Figure, renderer: Any, size_of: Size) -> None:
-    """Places of all panels, and of the title of the figure."""
-    width, whole = figure.get_size_inches() * POINTS_PER_INCH
-    height, bottom = whole, sum(size_of(legend)[1] + PANEL_GAP_POINTS for legend in figure.legends)
-    for title in figure.texts:  # the title alone
-        title.set_y(1.0 - PANEL_GAP_POINTS / height)
-        height -= size_of(title)[1] + PANEL_GAP_POINTS
-    specs = [spec for axes in figure.axes if (spec := axes.get_subplotspec()) is not None]
-    grid, rooms = specs[0].get_gridspec(), np.array([_room(axes, renderer, size_of) for axes in figure.axes])
-    columns, rows = [spec.colspan for spec in specs], [spec.rowspan for spec in specs]
-    across = _spread(width, columns, rooms[:, :2], grid.get_width_ratios())
-    down = height - _spread(height - bottom, rows, rooms[:, 2:], grid.get_height_ratios())
-    for axes, (left, right), (upper, lower) in zip(figure.axes, across, down, strict=True):
-        axes.set_position((left / width, lower / whole, (right - left) / width, (upper - lower) / whole))
-
-
-def _spread(length: float, spans: Sequence[range], rooms: Array, ratios: Any) -> Array:
-    """Start and end of panels along one direction, shape (panels, 2).
-
-    Arguments:
-        length: of all, in points.
-        spans: the cells of each panel.
-        rooms: space that each panel needs before and after it, in points, shape (panels, 2).
-        ratios: of the lengths of cells.
-    """
-    before, after = np.zeros(len(ratios)), np.zeros(len(ratios))
-    for span, (ahead, behind) in zip(spans, rooms, strict=True):
-        before[span[0]] = max(before[span[0]], ahead + PANEL_GAP_POINTS)
-        after[span[-1]] = max(after[span[-1]], behind)
-    cells = (length - PANEL_GAP_POINTS - before.sum() - after.sum()) * np.asarray(ratios) / np.sum(ratios)
-    ends = np.cumsum(before + cells + after) - after
-    return np.array([(ends[span[0]] - cells[span[0]], ends[span[-1]]) for span in spans])
-
-
-def _room(axes: Axes, renderer: Any, size_of: Size) -> tuple[float, float, float, float]:
-    """Space for labels at the left, right, upper and lower side of a panel, in points."""
-    from matplotlib.text import Annotation, Text
-    from matplotlib.transforms import ScaledTranslation
-
-    x, y, inches = axes.xaxis, axes.yaxis, axes.get_figure().dpi_scale_trans  # type: ignore[union-attr]
-    (wide, low), (left, high) = _ticks(x, size_of), _ticks(y, size_of)
-    beside, below = left + y.labelpad, low + x.labelpad
-    y.set_label_coords(0.0, 0.5, axes.transAxes + ScaledTranslation(-beside / POINTS_PER_INCH, 0.0, inches))
-    x.set_label_coords(0.5, 0.0, axes.transAxes + ScaledTranslation(0.0, -below / POINTS_PER_INCH, inches))
-    titles = [text for text in axes.get_children() if isinstance(text, Text) and text not in axes.texts]
-    above = [size_of(title)[1] + TITLE_PAD for title in titles if title.get_text()]
-    outside = [text for text in axes.texts if isinstance(text, Annotation) and text.get_annotation_clip() is False]
-    points = renderer.dpi / POINTS_PER_INCH
-    beyond = [(text.get_window_extent(renderer).x1 - axes.bbox.x1) / points for text in outside]
-    return (
-        beside + size_of(y.label)[0] if axes.get_ylabel() else left,
-        max(0.5 * wide, *beyond, 0.0),
-        max(above, default=0.5 * high) + OFFSET_HEIGHT * bool(y.get_major_formatter().get_offset()),
-        below + size_of(x.label)[1] if axes.get_xlabel() else low,
-    )
-
-
-def _ticks(axis: Axis, size_of: Size) -> tuple[float, float]:
-    """Width and height of the largest label of the ticks of an axis in points, with their distance from the axis."""
-    if not any(axis.get_tick_params().get(name) for name in ("labelbottom", "labelleft")):
-        return 0.0, 0.0
-    low, high = sorted(axis.get_view_interval())
-    sizes = [(0.0, 0.0)]
-    for places, formatter in (
-        (axis.get_majorticklocs(), axis.get_major_formatter()),
-        (axis.get_minorticklocs(), axis.get_minor_formatter()),
-    ):
-        labels = formatter.format_ticks(list(places))
-        shown = {label for label, place in zip(labels, places, strict=True) if label and low <= place <= high}
-        sizes += map(size_of, shown)
-    (width, height), along = np.max(sizes, axis=0), axis is axis.axes.xaxis
-    return float(width) + TICK_PAD * (not along), float(height) + TICK_PAD * along
-
 
 MARKED_SITES = 60  # profiles of longer lattices are lines without markers, of the positions that move
 MOST_VALUES = 6  # of parameters in a title
@@ -209,20 +78,39 @@ def blank(width: float, height: float) -> Figure:
     return Figure(figsize=(min(width, WIDEST_INCHES), height), dpi=PNG_DPI)
 
 
-def finished(
-    figure: Figure, panels: Iterable[Axes], columns: int, in_black: bool = False, plain: bool = False
-) -> Figure:
-    """The figure with one legend of all panels below them, laid out; in black where colours distinguish families.
-
-    `plain` is as in `lay_out`.
-    """
+def finished(figure: Figure, panels: Iterable[Axes], columns: int, in_black: bool = False) -> Figure:
+    """The figure with one legend of all panels below them, laid out; in black where colours distinguish families."""
     handles = {label: found[0] for label, found in _labelled(panels).items()}
     if handles:
         legend = figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=columns)
         for line in legend.get_lines() if in_black else ():
             line.set(color="black", markeredgecolor="black")
-    lay_out(figure, plain)
+    lay_out(figure)
     return figure
+
+
+def lay_out(figure: Figure) -> None:
+    """Place the panels of a figure once and for all by constrained layout: no engine does it again on each drawing."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    renderer: Any = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    renderer.mathtext_parser = _parser()
+    # a panel of fixed shape may leave part of its cell free: labels there got no room, which it needs once it has grown
+    of_fixed_shape = any(axes.get_box_aspect() or axes.get_aspect() != "auto" for axes in figure.axes)
+    for _ in range(2 if of_fixed_shape else 1):
+        ConstrainedLayoutEngine().execute(figure)
+    for axes in figure.axes:  # the layout's last digits depend on where things lie in memory, and name clip paths
+        x, y, width, height = np.round(axes.get_position(original=True).bounds, 9).tolist()
+        axes.set_position((x, y, width, height))
+
+
+@cache
+def _parser() -> Any:
+    """One parser of formulas for all figures, which keeps those it has parsed: each takes milliseconds."""
+    from matplotlib.backends.backend_agg import RendererAgg
+
+    return RendererAgg(1, 1, PNG_DPI).mathtext_parser  # type: ignore[no-untyped-call]
 
 
 def _labelled(panels: Iterable[Axes]) -> dict[str, list[Artist]]:
