@@ -310,18 +310,13 @@ def test_files_are_the_same_bytes_whatever_the_settings(tmp_path: Path, draw: Ca
 
 
 @pytest.mark.parametrize("pictures", ["drawn"], indirect=True)
-@pytest.mark.parametrize("size", [(1.0, 0.5), (2.345, 1.077)])
-def test_other_readers_of_png_see_what_matplotlib_draws(size: tuple[float, float], tmp_path: Path) -> None:
-    figure = Figure(figsize=size)
-    figure.add_axes((0.1, 0.1, 0.8, 0.8)).plot([0.0, 1.0, 0.3], color="tab:red")
-    (path,) = save(figure, tmp_path / "own")
-    with style():
-        figure.savefig(tmp_path / "matplotlib.png", dpi=200)
-    with Image.open(path) as own, Image.open(tmp_path / "matplotlib.png") as other:
-        assert own.mode == "RGB"
-        assert own.info["dpi"] == pytest.approx((200.0, 200.0), abs=0.01)
-        assert np.array_equal(np.asarray(own), np.asarray(other)[..., :3])
-        assert np.ptp(np.asarray(own)) > 100
+def test_a_png_says_its_resolution_and_not_who_wrote_it(tmp_path: Path) -> None:
+    (path,) = save(without_numbers(), tmp_path / "own")
+    with Image.open(path) as image:
+        assert image.size == (200, 200)
+        assert image.info.keys() == {"dpi"}
+        assert image.info["dpi"] == pytest.approx((200.0, 200.0), abs=0.01)
+        assert np.ptp(np.asarray(image)[..., :3]) > 100
 
 
 def test_a_failed_write_leaves_the_old_files_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
