@@ -117,7 +117,7 @@ def _write_scene(directory: Path, request: Request, scene_text: str) -> None:
         texts[directory / f"{SCENE_MODEL}{request.path.suffix}"] = request.source
     for path, text in texts.items():
         with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", newline="")  # line ends as they are given
 
 
 def make_directory(directory: Path) -> None:

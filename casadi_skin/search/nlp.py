@@ -342,7 +342,7 @@ def _curvature(nlp: Nlp, solution: Solution, J: Any, unknowns: Indices, rows: In
     except RuntimeError:  # SuperLU: "Factor is exactly singular"
         return np.nan, 0.0
     closed = np.vstack([np.asarray(J[rows] @ (sizes * basis)), basis[unknowns]])
-    basis = basis @ null_space(closed) if len(closed) else basis
+    basis = basis @ null_space(closed) if closed.size else basis
     if basis.shape[1] == 0:
         return np.inf, 0.0
     directions = sizes * basis

@@ -160,9 +160,10 @@ def test_an_infeasible_string_names_both_ends(corrector: str) -> None:
 
 
 @pytest.mark.parametrize("corrector", [pytest.param("ipopt", marks=pytest.mark.slow), "newton"])
-@pytest.mark.parametrize(("second", "text"), [(START - 1, "u(start)-1"), (2 * START, "2.*u(start)")])
+@pytest.mark.parametrize(("second", "text"), [(START - 1, "u(start)-1"), (2 * START, "2*u(start)")])
 def test_a_condition_given_twice_is_named(corrector: str, second: ca.SX, text: str) -> None:
     message = failing(lambda: stated(conditions=[START, second]).solve([1.0, 0.0], corrector=corrector))
+    message = message.replace("2.*", "2*")  # as CasADi 3.8 writes it
     assert f"condition 1 (u(start)) and condition 2 ({text}) repeat or contradict each other" in message
     # Every c (sin t, cos t) has u(0) = 0 and 2 u(0) = 0: beside one of them, relative to its sizes, u and v tie.
     tied = "u (most at t = 1)" in message and text.startswith("2")
@@ -176,7 +177,7 @@ def test_a_condition_given_twice_is_named(corrector: str, second: ca.SX, text: s
            ("condition 1 (v(start)) and condition 2 (v(end)) repeat or contradict", "leave u (most at t = "))
           for corrector in ("newton", "ipopt")),
         ({"conditions": [START, END], "integrals": [U**2 + 1], "free": ["stiffness"]}, "ipopt",
-         ("integral 1 (sq(u)+1)", "leave stiffness undetermined")),
+         ("integral 1 (sq(u)+1)", " stiffness undetermined")),
         ({"conditions": [START**2 + 1, END]}, "newton", ("condition 1 (sq(u(start))+1) leaves",)),
     ],
     ids=["a level", "a level by Ipopt", "a parameter", "no real solution"],
