@@ -93,7 +93,8 @@ def estimated(
         if between is not None:  # a step is right up to its square, and that of Omega goes through zero
             least = max(least, error.profile**2 * Omega)
         parts = [max(error.Omega, least), error.profile, error.parameter]
-        if max(parts[0] / Omega, *parts[1:]) < NEAR_ROUND_OFF:  # at least that by rounding, of residual and constants
+        # At least that by rounding, of residual and constants; a period may be there long before the profile is.
+        if max(parts[1:]) < NEAR_ROUND_OFF or 0.0 < error.Omega < NEAR_ROUND_OFF * Omega:
             if noise is None:
                 noise = back(on_finer.response())
                 rounded = finer.profile_changes(long_z, noise).tolist()

@@ -239,6 +239,29 @@ def test_a_cycle_is_hidden_in_equations_of_any_index_and_units(seed: int) -> Non
     assert time * hopf.frequency == pytest.approx(1.0, rel=1e-7)
 
 
+@pytest.mark.parametrize("seed", [7, 23])
+def test_period_at_rounding_has_its_error_though_the_profile_is_not_there(seed: int) -> None:
+    """Van der Pol's equation hidden in one of index 3, with an error of the profile of 1e-8 or so."""
+    generator, y = np.random.default_rng(seed), ca.SX.sym("y", 5)
+    (a, b), z = y.elements()[:2], y.elements()[2:]
+    h = [generator.normal() * (a, b, a)[k] + 0.1 * generator.normal() * a * b for k in range(3)]
+    P, Q = (np.linalg.qr(each)[0] for each in generator.normal(size=(2, 5, 5)))
+    f = ca.vertcat(b, (1.0 - a * a) * b - a, *(one - other for one, other in zip(z, h, strict=True)))
+    x = ca.SX.sym("x", 5)
+    nilpotent = np.eye(3, k=1)
+    rhs = ca.DM(P) @ ca.substitute(f, y, ca.DM(Q) @ x)
+    model = OdeModel("hidden", x, rhs, mass=P @ block_diag(np.eye(2), nilpotent) @ Q)
+    plain = solve_ivp(lambda _, w: [w[1], (1.0 - w[0] ** 2) * w[1] - w[0]], (0.0, 50.0), [2.0, 0.0], dense_output=True,
+                      rtol=1e-11, atol=1e-11)  # fmt: skip
+    lifted, slope = [ca.vertcat(*h)], ca.vertcat(*f.elements()[:2])
+    for _ in range(2):  # z = h + N z'
+        lifted.append(ca.vertcat(*h) + nilpotent @ ca.jtimes(lifted[-1], ca.vertcat(a, b), slope))
+    lift = ca.Function("lift", [ca.vertcat(a, b)], [ca.vertcat(a, b, lifted[-1])])
+    orbit = find_orbit(model, lambda t: Q.T @ np.array(lift(plain.sol(40.0 + t))).ravel(), CYCLE_PERIOD)
+    assert orbit.error > 1e-9
+    assert abs(orbit.period - 6.6632868593231301) <= orbit.period_error < 1e-10
+
+
 def test_colpitts_oscillator_against_its_ode() -> None:
     nodes, plain = colpitts()
     R = np.sqrt(2.0) / 1.4
