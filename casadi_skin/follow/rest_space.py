@@ -531,6 +531,9 @@ def _near(space: EquilibriumSpace, start: Array, second: bool = True) -> Equilib
         name = model.state_names[int(np.argmax(~np.isfinite(rates)))]
         at = ", ".join(f"{k} = {x:.6g}" for k, x in zip(model.state_names, full, strict=True))
         failure = f"not finite at the equation of {name}, where {at} at the guess"
+        given = np.array(model.function("given", model.given_rhs)(0.0, full, p))
+        if np.all(np.isfinite(given)):
+            failure = f"mass: no derivative of {name} follows {problem.describe_parameters(z)}, where {at} at the guess"
     jumps = model.jumps.beside(full, p, np.maximum(np.abs(full), np.resize(space.sizes, full.size)))
     more = f"; beside the guess {jumps}" if jumps else ""
     raise EquilibriumError(f"{model.name}: no equilibrium near the guess: {failure}{more}")

@@ -20,6 +20,7 @@ LONGEST_EVOLUTION = 1e8  # radians that may be followed: a thousand times 10^4 p
 NOT_FINITE = "it is not finite then"
 ESCAPE_FACTOR = 1e6  # times the largest component, beyond which a state has escaped
 ESCAPE_STEPS = 20_000  # in which it escapes
+STILL_STEPS, STILL_SHARE = 200, 1e-6  # so many in such a part of the time lead nowhere but where it doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +134,8 @@ class CvodesOptions:
         if self.sensitivity_errors:
             options["fsens_err_con"] = True
         solver = "idas" if "alg" in dae else "cvodes"
+        if "alg" in dae:  # its unknowns follow from the others: as parts of the error they made steps ever shorter
+            options["suppress_algebraic"] = True
         return ca.integrator(name, solver, dae, float(times[0]), [float(t) for t in times[1:]], options)
 
     def transition(self, name: str, dae: dict[str, Any]) -> ca.Function:
@@ -237,8 +240,18 @@ def stiff_cvodes(
 
         return _between_events(model, parameters, t, origin, follow)
     dae, matrix = implicit.semi_explicit(origin, start, parameters)
-    found = followed_by_cvodes(dae, parameters, matrix @ start, t, options, origin, gap)
-    return replace(found, states=np.asarray(np.linalg.solve(matrix, found.states.T).T, dtype=float))
+
+    def in_states(found: Trajectory) -> Trajectory:
+        states = np.linalg.solve(matrix, found.states.T).T  # in which what is algebraic was interpolated
+        pairs = zip(states, t.tolist(), strict=False)
+        met = [consistent(model, parameters, x, time) for x, time in pairs]
+        return replace(found, states=np.reshape(met, states.shape))
+
+    try:
+        return in_states(followed_by_cvodes(dae, parameters, matrix @ start, t, options, origin, gap))
+    except IntegrationError as error:
+        error.trajectory = in_states(error.trajectory)
+        raise
 
 
 def _between_events(
@@ -309,15 +322,21 @@ def far_state(
     far = ESCAPE_FACTOR * max(1.0, float(np.max(np.abs(state))))
     with np.errstate(all="ignore"):  # a state that overflows has run away, which is what is asked
         rule = DOP853(lambda t, x: np.array(field(t, x, parameters)).ravel(), time, state, end, rtol=1e-6)
-        for _ in range(ESCAPE_STEPS):  # a stiff model would take very many
+        largest, before, reached = float(np.max(np.abs(state[:moving]))), 0.0, -np.inf
+        for count in range(1, ESCAPE_STEPS):  # a stiff model would take very many
             if not np.isfinite(rule.h_abs):  # scipy's step would never end
                 break
             rule.step()
             k = int(np.argmax(np.abs(rule.y[:moving])))
-            if abs(rule.y[k]) > far:
+            largest = max(largest, abs(rule.y[k]))
+            if largest > far:
                 return float(rule.t), model.state_names[k], float(rule.y[k])
             if rule.status != "running":
                 break
+            if count % STILL_STEPS == 0:
+                if rule.t - reached <= STILL_SHARE * (end - time) and largest <= 2.0 * before:
+                    break
+                before, reached = largest, rule.t
     return None
 
 

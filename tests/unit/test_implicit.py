@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import casadi as ca
@@ -17,6 +18,8 @@ from scipy.special import ellipk
 
 from casadi_skin import (
     BoundaryValueProblem,
+    EquilibriumError,
+    EvolutionError,
     OdeModel,
     evolve,
     export_c,
@@ -363,6 +366,13 @@ def test_a_branch_where_equations_are_singular(folds: bool) -> None:
     assert gap.start - gap.end < 1e-6
 
 
+def test_an_equilibrium_where_the_mass_is_singular_is_refused_by_its_name() -> None:
+    x, y, p = symbols("x y p")
+    model = OdeModel("singular", [x, y], [y - x, x - 2.0 * y], p, mass=[[1.0, 0.0], [0.0, p]])
+    with pytest.raises(EquilibriumError, match=r"mass: no derivative of y follows with p = 0, where x = 0\.1"):
+        find_equilibrium(model, [0.1, 0.05], parameters={"p": 0.0})
+
+
 @pytest.mark.parametrize("time", [1e-9, 1.0, 1e9])
 def test_boundary_values_of_a_pendulum_in_any_unit_of_time(time: float) -> None:
     """From an angle of 0.6 to another place in one unit of time; then its equation in the angle arrives there too."""
@@ -397,6 +407,43 @@ def test_simulations_in_any_unit_of_time(unit: float) -> None:
     times = np.linspace(0.0, 6.0, 4)
     expected = simulate(plain, [1.0, 0.0], times).states
     assert simulate(fast, [1.0, 0.0], unit * times).states == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8, 1e-10])
+def test_transistor_amplifier(tolerance: float) -> None:
+    """Of the Test Set for IVP Solvers (Mazzia and Magherini 2008), whose reference is at the time 0.2: of index 1."""
+    t, y = ca.SX.sym("t"), [ca.SX.sym(f"y{k + 1}") for k in range(8)]
+    R, supply, alpha = 9000.0, 6.0, 0.99
+    first, second = (1e-6 * (ca.exp((y[k] - y[k + 1]) / 0.026) - 1.0) for k in (1, 4))
+    rhs = [
+        (y[0] - 0.1 * ca.sin(200.0 * np.pi * t)) / 1000.0, (2.0 * y[1] - supply) / R + (1.0 - alpha) * first,
+        y[2] / R - first, (y[3] - supply) / R + alpha * first, (2.0 * y[4] - supply) / R + (1.0 - alpha) * second,
+        y[5] / R - second, (y[6] - supply) / R + alpha * second, y[7] / R,
+    ]  # fmt: skip
+    pair = np.array([[-1.0, 1.0], [1.0, -1.0]])
+    mass = 1e-6 * block_diag(1.0 * pair, -2.0, 3.0 * pair, -4.0, 5.0 * pair)
+    model = OdeModel("amplifier", y, rhs, time=t, forcing_period=0.01, mass=mass)
+    found = simulate(model, [0.0, 3.0, 3.0, 6.0, 3.0, 3.0, 6.0, 0.0], [0.0, 0.1, 0.2], tolerance=tolerance)
+    expected = [
+        -0.5562145012262709e-2, 3.006522471903042, 2.849958788608128, 2.926422536206241, 2.704617865010554,
+        2.761837778393145, 4.770927631616772, 1.236995868091548,
+    ]  # fmt: skip
+    assert np.max(np.abs(found.states[-1] - expected)) <= 6.0 * tolerance  # of its largest component
+    pairs = mass @ np.array(model.vector_field(0.2, found.states[-1], [])).ravel()
+    assert pairs == pytest.approx(np.array(model.function("f", model.given_rhs)(0.2, expected, [])).ravel(), abs=1e-7)
+    assert found.evaluations < 50_000
+
+
+def test_impasse_is_refused_soon_with_the_states_before_it() -> None:
+    """x' = -1 with y = s/2 + 3 and x = (s/2)^2: none beyond x = 0."""
+    x, y = symbols("x y")
+    model = OdeModel("impasse", [x, y], [-1.0, x - y - (y - 3.0) ** 2], mass=[[1.0, -1.0], [0.0, 0.0]])
+    begun = process_time()
+    with pytest.raises(EvolutionError, match="IDA_CONV_FAIL") as caught:
+        evolve(model, [8.0, 5.0], None, np.linspace(0.0, 4.0, 9))
+    assert process_time() - begun < 3.0
+    x, y = caught.value.evolution.states.T
+    assert y - 3.0 == pytest.approx(np.sqrt(x - y), abs=1e-9)
 
 
 def test_simulation_starts_consistent_and_follows_the_equations_kept() -> None:
