@@ -71,7 +71,7 @@ class BoundaryNlp(Nlp):
             exact=not programs_in(statement.model.vector_field),  # their second derivatives would be differences
             options={**IPOPT_OPTIONS, "ipopt.tol": tolerance, "ipopt.constr_viol_tol": tolerance},
             place=z[[scalars[name] for name in free]] / ca.DM(list(free.values())) if free else None,
-            measured=[scalars[name] for name in free or () if name != PERIOD],
+            measured=[scalars[name] for name in free or () if name != PERIOD], sizes=problem.sizes,
         )  # fmt: skip
 
     def on(self, problem: BoundaryProblem) -> BoundaryNlp:
@@ -83,9 +83,6 @@ class BoundaryNlp(Nlp):
 
     def times(self, x: Array) -> Array:
         return np.array([self.problem.time(x, column) for column in range(self.problem.columns)])
-
-    def sizes(self, x: Array) -> Array:
-        return self.problem.sizes(x)
 
     def equation_name(self, row: int, x: Array) -> str:
         return self.problem.place(row)

@@ -5,11 +5,11 @@ Every search states its problem as one: an orbit in odd cosines, a boundary-valu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -27,6 +27,12 @@ WARM_START: Mapping[str, Any] = {
     "ipopt.slack_bound_frac": 1e-12,
 }  # fmt: skip
 IPOPT_TOLERANCE = 1e-8  # Ipopt's own, unless options have another
+JACOBIAN_NAMES = ["x", "p"], ["g", "jac_g_x"]
+HESSIAN_NAMES = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+
+
+# Ipopt with its callback, and the sizes of unknowns, constraints and objective.
+_Solver: TypeAlias = tuple[ca.Function, IterationCallback, Array, Array, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,19 +60,21 @@ class Nlp:
         options: of Ipopt, added to those that every search has.
         place: scaled unknowns by which optima are distinguished.
         measured: places of the free numbers, in which curvature is measured; none where all unknowns are, by `sizes`.
+        sizes: scale of each unknown at a point, (size,), in which Ipopt has them; 1 where none is given.
     """
 
     def __init__(
         self, x: Expression, f: Expression, g: Expression, bounds: Mapping[str, tuple[Any, Any, Any]],
         conditions: Sequence[Condition] = (), *, jacobian: Expression | None = None, maximise: bool = False,
         exact: bool = True, options: Mapping[str, Any], place: Expression | None = None, measured: Sequence[int] = (),
+        sizes: Callable[[Array], Array] | None = None,
     ) -> None:  # fmt: skip
         self.exact, self.options, self.sign = exact, options, -1.0 if maximise else 1.0
         self._x, self._f, self._p = x, self.sign * f, type(x).sym("p", 0)  # none, which Ipopt's functions take
         self._g, self.conditions = ca.densify(g), conditions
         self.place, self.measured = place, np.array(measured, dtype=int)
-        self._given_jacobian = jacobian
-        self._solvers: dict[bool, tuple[ca.Function, IterationCallback]] = {}
+        self._given_jacobian, self._sizes = jacobian, sizes
+        self._solvers: dict[bool, _Solver] = {}
         self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         for places, lower, upper in bounds.values():
             self.lower[places], self.upper[places] = lower, upper
@@ -86,7 +94,7 @@ class Nlp:
     @cached_property
     def _constraints(self) -> ca.Function:
         jacobian = ca.jacobian(self._g, self._x) if self._given_jacobian is None else self._given_jacobian
-        return ca.Function("jac_g", [self._x, self._p], [self._g, jacobian], ["x", "p"], ["g", "jac_g_x"])
+        return ca.Function("jac_g", [self._x, self._p], [self._g, jacobian], *JACOBIAN_NAMES)
 
     @cached_property
     def _gradient(self) -> ca.Function:
@@ -96,8 +104,7 @@ class Nlp:
     def _hessian(self) -> ca.Function:
         lam_f, lam_g = (type(self._x).sym(name, n) for name, n in (("lam_f", 1), ("lam_g", self._g.numel())))
         hessian = ca.triu(ca.hessian(lam_f * self._f + ca.dot(lam_g, self._g), self._x)[0])
-        names = ["x", "p", "lam_f", "lam_g"]
-        return ca.Function("hess_lag", [self._x, self._p, lam_f, lam_g], [hessian], names, ["triu_hess_gamma_x_x"])
+        return ca.Function("hess_lag", [self._x, self._p, lam_f, lam_g], [hessian], *HESSIAN_NAMES)
 
     def residual(self, x: Array) -> Array:
         """Constraints at x, shape (rows,)."""
@@ -134,7 +141,12 @@ class Nlp:
 
     def sizes(self, x: Array) -> Array:
         """Scale of each unknown, shape (size,)."""
-        return np.ones(self.size)
+        return np.ones(self.size) if self._sizes is None else self._sizes(x)
+
+    def heights(self, x: Array) -> Array:
+        """The terms of each constraint for unknowns of these sizes, shape (rows,)."""
+        found = np.asarray(abs(self.jacobian(x)) @ self.sizes(x)).ravel()
+        return np.where(found > 0.0, found, 1.0)
 
     def gradient_size(self, x: Array) -> float:
         """The largest derivative of the objective over the sizes of unknowns, and what it changes by over these; or 1.
@@ -170,21 +182,22 @@ class Nlp:
 
         Raises KeyboardInterrupt after an interruption that nobody else listens for, and what the monitor raised.
         """
+        start = np.clip(x, self.lower, self.upper)
         if warm not in self._solvers:
-            size = self.gradient_size(np.clip(x, self.lower, self.upper))
-            unit = 1.0 if 1.0 / NEAR_ONE < size < NEAR_ONE else size  # Ipopt's tolerance is of objectives near 1
-            self._solvers[warm] = self._built({"ipopt.obj_scaling_factor": 1.0 / unit, **(WARM_START if warm else {})})
-        solver, callback = self._solvers[warm]
+            self._solvers[warm] = self._built(start, WARM_START if warm else {})
+        solver, callback, sizes, heights, largest = self._solvers[warm]
+        tell = monitor and (lambda i, f, v: monitor(i, self.shown(largest * f), v))
         with interrupts_deferred(end_solver=True):
-            callback.begin(self.low, self.high, monitor and (lambda i, f, v: monitor(i, self.shown(f), v)))
-            start = np.clip(x, self.lower, self.upper)
-            bounds = {"lbx": self.lower, "ubx": self.upper, "lbg": self.low, "ubg": self.high}
-            result = solver(x0=start, **bounds)
+            callback.begin(self.low, self.high, heights, tell)
+            bounds = {"lbx": self.lower / sizes, "ubx": self.upper / sizes}
+            result = solver(x0=start / sizes, lbg=self.low / heights, ubg=self.high / heights, **bounds)
         if callback.failure is not None and not isinstance(callback.failure, KeyboardInterrupt):
             raise callback.failure
         stats = solver.stats()
         found, lam_g, lam_x = (np.array(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
-        value, words = self.shown(float(result["f"])), str(stats["return_status"])
+        found = np.clip(found * sizes, self.lower, self.upper)  # Ipopt keeps to bounds, rounding may not
+        value, words = self.shown(largest * float(result["f"])), str(stats["return_status"])
+        lam_g, lam_x = largest * lam_g / heights, largest * lam_x / sizes
         return Solution(found, lam_g, lam_x, value, words, int(stats["iter_count"]))
 
     def nearest(self, x: Array) -> Array:
@@ -193,33 +206,52 @@ class Nlp:
         Each is measured by its terms at x. It is x itself where that is not found, or without conditions.
         """
         rows, n, g = self.condition_rows, self.size, self.residual(x)
-        sizes = np.asarray(abs(self.jacobian(x))[rows] @ np.abs(x)).ravel()
-        z, low, high = type(self._x).sym("z", n + rows.size), self.low[rows], self.high[rows]
+        z, low, high, heights = ca.MX.sym("z", n + rows.size), self.low[rows], self.high[rows], self.heights(x)[rows]
         moved = ca.Function("g", [self._x], [self._g])(z[:n])
-        amiss = (moved[rows.tolist()] - z[n:]) / np.where(sizes > 0.0, sizes, 1.0)
+        amiss = (moved[rows.tolist()] - z[n:]) / heights
         ends = np.append(self.lower, low), np.append(self.upper, high)
         elastic = Nlp(
             z, ca.sumsqr(amiss), moved[: rows.size and -rows.size], {"": (np.arange(n + rows.size), *ends)},
-            exact=self.exact, options=self.options,
+            exact=self.exact, options=self.options, sizes=lambda at: np.append(self.sizes(at[:n]), heights),
         )  # fmt: skip
         found = elastic.solve(np.append(x, np.clip(g[rows], low, high)))
         return found.x[:n] if rows.size and found.words == SOLVED_STATUS else x
 
-    def _built(self, more: Mapping[str, Any]) -> tuple[ca.Function, IterationCallback]:
-        """Ipopt with bounds that are not relaxed, and its callback."""
-        parts = {"x": self._x, "p": self._p, "f": self._f, "g": self._g}
-        callback = IterationCallback(self.size, self._g.numel())
+    def _built(self, x: Array, more: Mapping[str, Any]) -> _Solver:
+        """Ipopt with bounds that are not relaxed, on y = x / sizes and g / heights, the sizes and heights being at x.
+
+        The objective is over what its gradient changes it by, so that neither tolerances nor steps depend on units.
+        """
+        count = {"y": self.size, "p": 0, "lam_f": 1, "lam_g": self._g.numel()}
+        y, p, lam_f, lam_g = (ca.MX.sym(name, n) for name, n in count.items())
+        sizes, heights = self.sizes(x), np.ones(count["lam_g"]) if self._sizes is None else self.heights(x)
+        scaled, callback = sizes * y, IterationCallback(self.size, count["lam_g"])
+        largest = max(self.gradient_size(x), LEAST_OF_VALUE * abs(self.objective(x)))
+        f, g = ca.Function("nlp", [self._x], [self._f / largest, self._g]).call([scaled], True, False)
+        rows, J = self._constraints(scaled, p)
+        jac_g = ca.Function("jac_g", [y, p], [rows / heights, _times(J, 1.0 / heights, sizes)], *JACOBIAN_NAMES)
         options = {
-            "ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0, "jac_g": self._constraints,
-            "iteration_callback": callback, **self.options, **more,
+            "ipopt.acceptable_iter": 0, "ipopt.bound_relax_factor": 0.0, "iteration_callback": callback,
+            "jac_g": jac_g, **self.options, **more,
         }  # fmt: skip
-        options |= {"hess_lag": self._hessian} if self.exact else {"ipopt.hessian_approximation": "limited-memory"}
-        return nlp_solver("search", parts, IPOPT_TOLERANCE, options, exact=False), callback
+        if self.exact:
+            H = _times(self._hessian(scaled, p, lam_f / largest, lam_g / heights), sizes, sizes)
+            options["hess_lag"] = ca.Function("hess_lag", [y, p, lam_f, lam_g], [H], *HESSIAN_NAMES)
+        else:
+            options["ipopt.hessian_approximation"] = "limited-memory"
+        parts = {"x": y, "p": p, "f": f, "g": g / heights}
+        return nlp_solver("search", parts, IPOPT_TOLERANCE, options, exact=False), callback, sizes, heights, largest
+
+
+def _times(matrix: ca.MX, left: Array, right: Array) -> ca.MX:
+    """diag(left) matrix diag(right)."""
+    rows, columns = (np.array(places, dtype=int) for places in matrix.sparsity().get_triplet())
+    return matrix * ca.DM(matrix.sparsity(), left[rows] * right[columns])
 
 
 # Whether a point is a local optimum: conditions of first and second order, from multipliers and exact derivatives -----
 
-NEAR_ONE = 100.0  # as far from 1 Ipopt takes objectives as they are
+LEAST_OF_VALUE = 1e-6  # of the objective at a start: where sizes change it by less, rounding has most digits of that
 PART_OF_SIZES = 0.1  # that unknowns are moved by, to see what the gradient changes by
 CURVED_HESSIAN_RATIO = 1e-6  # of the Hessian in the free directions: less is rounding
 CURVATURE_NOISE = 1e-8  # curvature, relative to the gradient, that errors of multipliers make where there is none
@@ -273,10 +305,8 @@ def _scaled(nlp: Nlp, solution: Solution, J: Any) -> SimpleNamespace:
 
     The gradient and the multipliers are in units of the objective, whose `gradient_size` is `largest`; J has no unit.
     """
-    sizes, largest = nlp.sizes(solution.x), nlp.gradient_size(solution.x)
+    sizes, heights, largest = nlp.sizes(solution.x), nlp.heights(solution.x), nlp.gradient_size(solution.x)
     J = J.multiply(sizes[None]).tocsr()
-    heights = np.asarray(abs(J).sum(axis=1)).ravel()
-    heights[heights == 0.0] = 1.0
     forces = {"gradient": sizes * nlp.gradient(solution.x), "lam_g": heights * solution.lam_g}
     forces["lam_x"], J = sizes * solution.lam_x, J.multiply(1.0 / heights[:, None])
     return SimpleNamespace(sizes=sizes, heights=heights, J=J, largest=largest, **forces)

@@ -38,7 +38,6 @@ GUESS_SAMPLES = 401  # of the guess over a period
 COMPARED_PHASES = 200  # at which an optimum is compared with its plain orbit
 CONSERVED = "hamiltonian"
 SPECIAL_QUANTITIES = (PERIOD, "Omega")
-MOST_UNIT_RATIO, UNEVEN_UNIT_RATIO = 1e8, 1e4  # sizes of states that differ by more leave Ipopt no digits, or few
 ENGINE = "Ipopt on the equations of one orbit with objective and constraints"
 
 Quantity = str | Expression
@@ -93,7 +92,7 @@ class OrbitSearch:
         self._begin_near(guess, period)
 
     def _begin_near(self, guess: Guess, period: float | None) -> None:
-        """Take the states of the guess, whose units one programme has to hold together."""
+        """Take the states of the guess."""
         model, cycles = self.model, whole("cycles", self.options["cycles"], 1)
         truth("symmetric", self.options["symmetric"])
         if model.forced:
@@ -103,11 +102,6 @@ class OrbitSearch:
         self.t = np.linspace(0.0, self._part * length, GUESS_SAMPLES)
         closed = Statement(model, [model.end(model.state) - model.start(model.state)], parameters=self.parameters)
         self.states = sampled(closed, guess, self.t)
-        ratio, units = _units(model.state_names, self.states)
-        if ratio > MOST_UNIT_RATIO:
-            accepted = f"units in which states differ by at most {MOST_UNIT_RATIO:g}"
-            raise ValueError(f"guess: given {units}; accepted: {accepted}")
-        self.hint = f"; units are uneven, {units}: try others" if ratio > UNEVEN_UNIT_RATIO else ""
 
     def check_programs(self) -> None:
         """Raises ValueError for quantities that other processes cannot have; those of models raise it themselves."""
@@ -172,8 +166,6 @@ class OrbitSearch:
             words = f"{self.free[k]} = {path[-1][k]:.3g}, {self.quantity} = {values[-1]:.3g}"
         elif status is Ending.INFEASIBLE:
             words += " at the nearest design"
-        else:
-            words += self.hint
         return Design(
             self.quantity, self.maximise, float(values[-1]), np.nan,
             dict(zip(self.free, path[-1].tolist(), strict=True)), {name: self.limits[name] for name in self.free}, path,
@@ -250,17 +242,6 @@ def difference(orbit: Orbit, plain: Orbit) -> float:
     largest = np.max(np.abs(other), axis=0)
     apart = float(np.max(np.abs(one - other) / np.maximum(largest, 1e-6 * np.max(largest))))
     return max(abs(orbit.period - plain.period) / plain.period, apart)
-
-
-def _units(names: Sequence[str], states: Array) -> tuple[float, str]:
-    """How much larger the largest state is than the smallest one that moves, and which these are."""
-    sizes = np.max(np.abs(states), axis=0)
-    moving = np.flatnonzero(sizes)
-    if not moving.size:
-        return 1.0, ""
-    small, large = moving[np.argmin(sizes[moving])], moving[np.argmax(sizes[moving])]
-    words = f"{names[small]} up to {sizes[small]:.2g} and {names[large]} up to {sizes[large]:.2g}"
-    return float(sizes[large] / sizes[small]), words
 
 
 # The public entry -----------------------------------------------------------------------------------------------------

@@ -416,12 +416,12 @@ class IterationCallback(ca.Callback):  # type: ignore[misc]  # CasADi has no typ
         ca.Callback.__init__(self)
         sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": 0}
         self._sizes = [sizes[name] for name in ca.nlpsol_out()]
-        self.begin(np.zeros(rows), np.zeros(rows), None)
+        self.begin(np.zeros(rows), np.zeros(rows), np.ones(rows), None)
         self.construct("iteration", {})
 
-    def begin(self, low: Array, high: Array, monitor: Monitor | None) -> None:
-        """Prepare for another solve, with these bounds of the constraints."""
-        self._low, self._high, self._monitor, self._iteration = low, high, monitor, 0
+    def begin(self, low: Array, high: Array, heights: Array, monitor: Monitor | None) -> None:
+        """Prepare for another solve, with bounds of the constraints; Ipopt has them over `heights`."""
+        self._low, self._high, self._heights, self._monitor, self._iteration = low, high, heights, monitor, 0
         self.failure: BaseException | None = None
 
     def get_n_in(self) -> int:
@@ -442,7 +442,7 @@ class IterationCallback(ca.Callback):  # type: ignore[misc]  # CasADi has no typ
 
     def _stops(self, values: dict[str, ca.DM]) -> bool:
         assert self._monitor is not None
-        g = np.array(values["g"]).ravel()
+        g = np.array(values["g"]).ravel() * self._heights
         violation = float(np.max(np.maximum(self._low - g, g - self._high), initial=0.0))
         self._iteration += 1
         return self._monitor(self._iteration - 1, float(values["f"]), violation)

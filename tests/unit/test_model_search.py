@@ -260,6 +260,45 @@ def test_an_optimum_is_one_in_any_unit(of_value: float, of_parameter: float) -> 
     assert found.value < 1e-15 * of_value
 
 
+def in_units(problem: str, x: float, t: float, p: float) -> Any:
+    """One of three searches whose states, times and parameters have units of these sizes."""
+    name = "mu" if problem == "vdp" else "omega"
+    mu, position, velocity = ca.SX.sym(name), Q / x, V * t / x
+    if problem == "vdp":
+        force = p * mu * (1 - position**2) * velocity - position
+        model = OdeModel("van der Pol", ca.vertcat(Q, V), ca.vertcat(V, x / t**2 * force), mu, nominal=(0.5 / p,))
+        return search_orbit(
+            model, guess=lambda s: [2 * x * np.cos(s / t), -2 * x / t * np.sin(s / t)], period=6.4 * t, section=V,
+            free=[name], bounds={name: (0.1 / p, 4 / p)}, objective="q", maximise=True, starts=1,
+        )  # fmt: skip
+    force = 0.1 * ca.cos(p * mu * T / t) - position - position**3 - 0.2 * velocity
+    model = OdeModel(
+        "Duffing", ca.vertcat(Q, V), ca.vertcat(V, x / t**2 * force), mu, time=T,
+        forcing_period=2 * ca.pi * t / (p * mu), nominal=(1.0 / p,),
+    )  # fmt: skip
+    bounds: dict[str, Any] = {name: (0.3 / p, 2.0 / p)}
+    bounds |= {"v": (None, 0.2 * x / t)} if problem == "bounded" else {}
+    return search_orbit(model, guess=[0.0, 0.0], free=[name], bounds=bounds, running=-(Q**2), starts=1)
+
+
+UNITS = [(1e-9, 1, 1), (1e9, 1, 1), (1, 1e-9, 1), (1, 1e9, 1), (1, 1, 1e-9), (1, 1, 1e9), (1e6, 1e-6, 1e3)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("problem", "power"), [("vdp", 1), ("free", 2), ("bounded", 2)])
+def test_searches_end_alike_in_units_of_states_times_and_parameters(problem: str, power: int) -> None:
+    """A bound on states holds at the points of a mesh, which moves with the last digits: by less than the errors."""
+    plain = in_units(problem, 1.0, 1.0, 1.0)
+    (name,) = plain.parameters
+    near = 1e-8 * abs(plain.value) if problem != "bounded" else 2.0 * plain.error
+    for x, t, p in UNITS:
+        found = in_units(problem, x, t, p)
+        assert (found.status, found.found) == (plain.status, True)
+        assert found.value / x**power == pytest.approx(plain.value, rel=0.0, abs=near)
+        assert found.parameters[name] * p == pytest.approx(plain.parameters[name], rel=1e-7)
+        assert max(found.optimality, found.violation) < 1e-10
+
+
 def test_starts_spread_as_far_as_something_says() -> None:
     """Of a 0 the limits that there are; without any it stays 0, whatever unit it has."""
     for unit in (1e-9, 1.0, 1e9):
