@@ -118,7 +118,8 @@ class Indicators(Jumps):
             spline = CubicSpline(times, states)
             crossing = _crossing(times, values, positive[0], lambda t: self._at(t, spline(t), rows[:1])[0])
         else:  # of places that are not in the order of time
-            crossing = next(((times[k], j) for k, j in np.argwhere((values > 0.0) != positive)), None)
+            changed = ((values > 0.0) != positive) | (positive != positive[0])  # or parameters decide it
+            crossing = next(((times[k], j) for k, j in np.argwhere(changed)), None)
         if crossing is None:
             return ""
         t, which = crossing
@@ -142,13 +143,19 @@ def _crossing(times: Array, values: Array, positive: Pattern, at: Callable[[Arra
     def away(t: float, which: int) -> float:
         return float(signs[which] * at(np.array([t]))[0, which])
 
+    def zero(first: float, last: float, which: int) -> float:
+        ends = away(first, which), away(last, which)
+        if ends[0] <= 0.0 or ends[1] >= 0.0:  # zero there but for rounding, which interpolation changes
+            return first if ends[0] <= 0.0 else last
+        return float(brentq(away, first, last, (which,)))
+
     for k, j in np.argwhere((values > 0.0) != positive):
-        return (brentq(away, times[k - 1], times[k], (j,)) if k else times[0]), j
+        return (zero(times[k - 1], times[k], j) if k else times[0]), j
     before, here, after = ((signs * values)[first : len(values) - 2 + first] for first in range(3))
     for k, j in np.argwhere((here <= before) & (here <= after) & (2.0 * here < np.maximum(before, after))):
         nearest = minimize_scalar(away, (times[k], times[k + 2]), (times[k], times[k + 2]), (j,), "bounded").x
         if away(nearest, j) < 0.0:
-            return brentq(away, times[k], nearest, (j,)), j
+            return zero(times[k], nearest, j), j
     return None
 
 

@@ -123,6 +123,36 @@ def test_what_is_beyond_an_event_between_places_is_seen(model: FmuModel) -> None
             assert model.jumps.along(fine[coarse], states[coarse], np.array([mu])) == words
 
 
+def test_an_indicator_that_is_zero_at_the_last_place_is_named(model: FmuModel) -> None:
+    """Interpolation puts it to either side of zero."""
+    t, generator = np.linspace(0.0, 1.0, 7), np.random.default_rng(0)
+    for _ in range(50):
+        velocity = LIMIT - generator.uniform(0.5, 2.0) * (1.0 - t) * (1.0 + generator.uniform() * t)
+        states = np.column_stack([generator.normal(size=7), velocity])
+        words = model.jumps.along(t, states, np.array([1.0]))
+        assert words.startswith(crossed(model))
+        assert time_of(words) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_equilibria_end_where_a_parameter_changes_the_sign_at_the_start(model: FmuModel) -> None:
+    """The FMU would be started with the equations of the other side: here its start is said to be there."""
+    states, parameters = np.array([[2.0, 0.0], [2.0, 0.0]]), np.array([[1.0], [1.5]])
+    at = model.jumps._at
+
+    def by_parameter(times: np.ndarray, states: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values, positive = at(times, states, rows)
+        side = 1.2 - rows[:, 0]
+        return np.column_stack([values[:, 0], side]), np.column_stack([positive[:, 0], side > 0.0])
+
+    assert not model.jumps.along(np.zeros(2), states, parameters)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(model.jumps), "_at", by_parameter)
+        assert model.jumps.along(np.zeros(2), states, parameters).startswith(crossed(model))
+        branch = find_equilibrium(model, [0.1, 0.0], parameters={"mu": 1.0}).follow("mu", 1.5)
+    assert crossed(model) in branch.reason
+    assert branch["mu"][-1] < 1.2
+
+
 def test_a_start_beyond_an_event_is_refused(model: FmuModel) -> None:
     with pytest.raises(JumpError, match=crossed(model)):
         simulate(model, [0.0, 4.0], [0.0, 0.001])
