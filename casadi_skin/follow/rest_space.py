@@ -395,7 +395,7 @@ def find_equilibrium(
     statics = _statics(model, parameters)
     _check(tolerance, corrector)
     start = positions_of(statics.model, guess)
-    statics = statics.decaying(start)
+    statics = statics.decaying()
     with one_thread(), np.errstate(all="ignore"):  # of equations that are not finite somewhere
         if transient is None:
             return _near(EquilibriumSpace(statics, float(tolerance), corrector, sizes_of(statics, [start])), start)
@@ -444,7 +444,7 @@ def find_equilibria(
         low, high = positions_of(model, bounds, "lower"), positions_of(model, upper, "upper")
         if not np.all(low <= high):
             raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")
-    statics = statics.decaying(0.5 * (low + high))
+    statics = statics.decaying()
     whole("starts", starts, 1, MOST_STARTS)
     whole("seed", seed, 0)
     space = EquilibriumSpace(statics, float(tolerance), corrector, sizes_of(statics, [low, high]))

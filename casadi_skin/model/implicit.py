@@ -18,7 +18,6 @@ Shapes: n states, of which q conditions g leave n - q free; E (n, n), slopes of 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -35,7 +34,6 @@ NEAR_RATIO = 3.0  # of entries and what is usual: as near as at the best place, 
 CANCELLED_RTOL = 1e-12  # of the terms of a sum: what is left of them is zero
 ROUNDED_RTOL = 1e-13  # of the largest entry of a row, by usual sizes of columns: one that is zero but for rounding
 NEWTON_STEPS, CONSISTENT_RTOL = 30, 1e-12  # of a state that meets conditions, and its last step, of the state's size
-STILL_RTOL = 1e-6  # of the largest eigenvalue: one that is no rate
 
 
 @dataclass
@@ -59,7 +57,7 @@ class Rows:
     @classmethod
     def of(cls, model: Equations, mass: ca.SX, right: ca.SX) -> Rows:
         """M x' = f."""
-        n, (place, columns, rate) = mass.shape[0], _place(model, mass, right)
+        n, (place, columns, rate) = mass.shape[0], _place(model, mass, right, model.nominal)
         values, plain, replaced = np.zeros((n, n)), np.zeros((n, n), dtype=bool), np.zeros(n, dtype=bool)
         rows = cls(model, place, [{} for _ in range(n)], right.elements(), values, plain, replaced, columns, rate)
         for i in range(n):
@@ -129,15 +127,15 @@ class Rows:
         return ca.cse(ca.densify(ca.vertcat(*(rates[j] for j in range(n)))))
 
 
-def _place(model: Equations, mass: ca.SX, right: ca.SX) -> tuple[tuple[float, Array, Array], Array, float]:
-    """A time, state and parameters in general position, usual sizes c of entries in columns there, and a rate k.
+def _place(model: Equations, mass: ca.SX, right: ca.SX, usual: Any) -> tuple[tuple[float, Array, Array], Array, float]:
+    """A place (time, state, parameters near usual ones), sizes c of entries in columns there, and a rate k.
 
     |M_ij| ~ r_i c_j and |df_i/dx_j| ~ k r_i c_j, by least squares of logarithms (Curtis and Reid 1972). At the place
     entries are near that: at others exponentials, as of a diode's voltage, hide other terms, are hidden, or overflow.
     """
     n, generator = model.size, np.random.default_rng(0)
     time, x, p = (generator.uniform(0.5, 1.5, size=count) for count in (1, n, model.parameters.numel()))
-    p *= 1.0 if model.nominal is None else np.where(model.nominal, model.nominal, 1.0)
+    p *= 1.0 if usual is None else np.where(usual, usual, 1.0)
     matrices = ca.sparsify(mass), ca.jacobian(right, model.state)
     function = model.function("entries", ca.vertcat(*(each.nz[:] for each in matrices), ca.densify(right)))
     i, j = np.hstack([each.sparsity().get_triplet() for each in matrices]).astype(int)
@@ -251,19 +249,9 @@ class Implicit:
         (frame,) = self.frames(np.zeros(1), x[None], parameters, units)
         return lambda matrix: np.asarray(frame.T @ (matrix * units / units[:, None]) @ frame)
 
-    def rate(self, state: Array, parameters: Array) -> float:
-        """A rate of the equations near a state, the geometric mean of moduli of eigenvalues; 1 without any."""
-        x = np.array(state, dtype=float)
-        with suppress(ArithmeticError):
-            x = self.consistent(0.0, x, parameters)
-        slope = self.model.function("slope", ca.densify(ca.jacobian(self.rhs, self.model.state)))
-        units = np.maximum(np.abs(x), 1e-3 * float(np.max(np.abs(x)))) if np.any(x) else np.ones(x.size)
-        matrix = np.array(slope(0.0, x, parameters))
-        if not np.all(np.isfinite(matrix)):
-            return 1.0
-        values = np.abs(np.linalg.eigvals(self.among_free(x, parameters, units)(matrix)))
-        moving = values[values > STILL_RTOL * np.max(values, initial=0.0)]
-        return float(np.exp(np.mean(np.log(moving)))) if moving.size else 1.0
+    def rate(self, parameters: Array) -> float:
+        """A rate of the equations at values of parameters, in 1/time."""
+        return _place(self.model, self.model.mass, self.right, parameters)[2]
 
     def semi_explicit(self, time: float, start: Array, parameters: Array) -> tuple[dict[str, Any], Array]:
         """w' = f1, 0 = g as CasADi's integrators take them, and B, shape (n, n), where (w, z) = B x.

@@ -81,10 +81,10 @@ class Statics:
             raise ValueError(f"model: given {self.model.name}, which is forced: {why}; accepted: one without time")
         _ = self.values
 
-    def decaying(self, x: Array) -> Statics:
-        """The same where algebraic equations decay at a rate that the others have near a state."""
+    def decaying(self) -> Statics:
+        """The same where algebraic equations decay at a rate that the others have at the parameters."""
         p = np.array(list(self.values.values()))
-        model = self.model.decaying(lambda implicit: implicit.rate(x, p))
+        model = self.model.decaying(lambda implicit: implicit.rate(p))
         return self if model is self.model else Statics(model, self.given)
 
     @cached_property
