@@ -143,11 +143,6 @@ class Nlp:
         """Scale of each unknown, shape (size,)."""
         return np.ones(self.size) if self._sizes is None else self._sizes(x)
 
-    def heights(self, x: Array) -> Array:
-        """The terms of each constraint for unknowns of these sizes, shape (rows,)."""
-        found = np.asarray(abs(self.jacobian(x)) @ self.sizes(x)).ravel()
-        return np.where(found > 0.0, found, 1.0)
-
     def gradient_size(self, x: Array) -> float:
         """The largest derivative of the objective over the sizes of unknowns, and what it changes by over these; or 1.
 
@@ -206,7 +201,8 @@ class Nlp:
         Each is measured by its terms at x. It is x itself where that is not found, or without conditions.
         """
         rows, n, g = self.condition_rows, self.size, self.residual(x)
-        z, low, high, heights = ca.MX.sym("z", n + rows.size), self.low[rows], self.high[rows], self.heights(x)[rows]
+        z, low, high = ca.MX.sym("z", n + rows.size), self.low[rows], self.high[rows]
+        heights = _heights(self.jacobian(x)[rows], self.sizes(x))
         moved = ca.Function("g", [self._x], [self._g])(z[:n])
         amiss = (moved[rows.tolist()] - z[n:]) / heights
         ends = np.append(self.lower, low), np.append(self.upper, high)
@@ -224,10 +220,11 @@ class Nlp:
         """
         count = {"y": self.size, "p": 0, "lam_f": 1, "lam_g": self._g.numel()}
         y, p, lam_f, lam_g = (ca.MX.sym(name, n) for name, n in count.items())
-        sizes, heights = self.sizes(x), np.ones(count["lam_g"]) if self._sizes is None else self.heights(x)
+        sizes, heights = self.sizes(x), np.ones(count["lam_g"])
+        heights = heights if self._sizes is None else _heights(self.jacobian(x), sizes)
         scaled, callback = sizes * y, IterationCallback(self.size, count["lam_g"])
         largest = max(self.gradient_size(x), LEAST_OF_VALUE * abs(self.objective(x)))
-        f, g = ca.Function("nlp", [self._x], [self._f / largest, self._g]).call([scaled], True, False)
+        f, g = (ca.Function("part", [self._x], [part])(scaled) for part in (self._f / largest, self._g))
         rows, J = self._constraints(scaled, p)
         jac_g = ca.Function("jac_g", [y, p], [rows / heights, _times(J, 1.0 / heights, sizes)], *JACOBIAN_NAMES)
         options = {
@@ -243,10 +240,15 @@ class Nlp:
         return nlp_solver("search", parts, IPOPT_TOLERANCE, options, exact=False), callback, sizes, heights, largest
 
 
+def _heights(J: Any, sizes: Array) -> Array:
+    """The terms of constraints of this Jacobian for unknowns of these sizes, shape (rows,)."""
+    found = np.asarray(abs(J) @ sizes).ravel()
+    return np.where(found > 0.0, found, 1.0)
+
+
 def _times(matrix: ca.MX, left: Array, right: Array) -> ca.MX:
     """diag(left) matrix diag(right)."""
-    rows, columns = (np.array(places, dtype=int) for places in matrix.sparsity().get_triplet())
-    return matrix * ca.DM(matrix.sparsity(), left[rows] * right[columns])
+    return matrix * (ca.diag(ca.DM(left)) @ ca.DM.ones(matrix.sparsity()) @ ca.diag(ca.DM(right)))
 
 
 # Whether a point is a local optimum: conditions of first and second order, from multipliers and exact derivatives -----
@@ -305,8 +307,8 @@ def _scaled(nlp: Nlp, solution: Solution, J: Any) -> SimpleNamespace:
 
     The gradient and the multipliers are in units of the objective, whose `gradient_size` is `largest`; J has no unit.
     """
-    sizes, heights, largest = nlp.sizes(solution.x), nlp.heights(solution.x), nlp.gradient_size(solution.x)
-    J = J.multiply(sizes[None]).tocsr()
+    sizes, largest = nlp.sizes(solution.x), nlp.gradient_size(solution.x)
+    heights, J = _heights(J, sizes), J.multiply(sizes[None]).tocsr()
     forces = {"gradient": sizes * nlp.gradient(solution.x), "lam_g": heights * solution.lam_g}
     forces["lam_x"], J = sizes * solution.lam_x, J.multiply(1.0 / heights[:, None])
     return SimpleNamespace(sizes=sizes, heights=heights, J=J, largest=largest, **forces)

@@ -563,6 +563,19 @@ def _moved_by_others(statement: Statement, guess: Array, sizes: Array) -> Array:
     return np.where(np.isfinite(moved), moved, 0.0)
 
 
+def _moving(statement: Statement, guess: Array, name: str) -> float:
+    """The value of a parameter that moves a component by its largest value within the interval; 1 where none does."""
+    model, (start, end), p = statement.model, statement.span(), list(statement.values.values())
+    way = ca.DM([float(other == name) for other in model.parameter_names])
+    slopes, most = model.function("slopes", ca.jtimes(model.full_rhs, model.parameters, way)), 0.0
+    sizes = np.max(np.abs(guess), axis=0)
+    for turn in np.linspace(0.0, 1.0, MOVED_SAMPLES):
+        slope = np.array(slopes(start + turn * (end - start), guess[int(turn * (len(guess) - 1))], p)).ravel()
+        moved = (end - start) * np.abs(slope[sizes > 0.0]) / sizes[sizes > 0.0]
+        most = float(np.max(moved, where=np.isfinite(moved), initial=most))
+    return 1.0 / most if most > 0.0 else 1.0
+
+
 @dataclass(frozen=True)
 class Sizes:
     """Least scales of the components of the state and of the free parameters."""
@@ -573,6 +586,8 @@ class Sizes:
     @classmethod
     def of(cls, statement: Statement, guess: Array) -> Sizes:
         """A thousandth of each component of the guess, as components have units; 1 for a guess of zeros.
+
+        A thousandth of each free parameter too; of one that is 0, what moves a component by its size in the interval.
 
         A component far below others may be zero but for rounding: a millionth of what others move it by is the least.
         """
@@ -586,8 +601,8 @@ class Sizes:
                 break
             moved = np.where(rounded, by_others, moved)
         states = np.where(small, np.maximum(states, SMALLEST_COMPONENT_RATIO * moved), states)
-        values = np.array([statement.values[name] for name in statement.free])
-        return cls(states, np.where(values == 0.0, 1.0, 1e-3 * np.abs(values)))
+        values = {name: abs(statement.values[name]) for name in statement.free}
+        return cls(states, np.array([1e-3 * v or _moving(statement, guess, name) for name, v in values.items()]))
 
 
 @dataclass(frozen=True, eq=False)

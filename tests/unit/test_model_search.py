@@ -299,6 +299,20 @@ def test_searches_end_alike_in_units_of_states_times_and_parameters(problem: str
         assert max(found.optimality, found.violation) < 1e-10
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_free_parameter_that_is_zero_has_the_unit_that_it_moves_states_by(unit: float) -> None:
+    """The bent oscillator's mean of (q - 0.1)^2; in a unit of 1e9 the search had ended without an optimum."""
+    force = ca.SX.sym("F")
+    field = ca.vertcat(V, force * unit + 0.3 * Q**2 - Q - Q**3 - 0.2 * V + 0.3 * ca.cos(1.4 * T))
+    model = OdeModel(
+        "bent", ca.vertcat(Q, V), field, force, time=T, forcing_period=2 * ca.pi / 1.4, nominal=(0.0,)
+    )  # fmt: skip
+    found = search_orbit(model, guess=[0.0, 0.0], free=["F"], running=(Q - 0.1) ** 2, starts=1)
+    assert found.reason == "found an optimum inside its bounds"
+    assert found.value == pytest.approx(0.04901211206763, rel=1e-10)
+    assert found.parameters["F"] * unit == pytest.approx(0.098, rel=1e-6)
+
+
 def test_starts_spread_as_far_as_something_says() -> None:
     """Of a 0 the limits that there are; without any it stays 0, whatever unit it has."""
     for unit in (1e-9, 1.0, 1e9):
