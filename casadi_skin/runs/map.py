@@ -106,7 +106,8 @@ class Engine:
         """
         left, waiting = iter(tasks), dict[Future[Result], Task]()
         while True:
-            for task in islice(left, (1 + TASKS_AHEAD) * max(self.workers(), 1) - len(waiting)):
+            room = (1 + TASKS_AHEAD) * max(self.workers(), 1) - len(waiting)
+            for task in islice(left, max(room, 0)):  # workers that are gone leave more under way than there is room for
                 waiting[self._submitted(computer, task, limit)] = task
                 if self.lost():
                     break

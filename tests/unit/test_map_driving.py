@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +18,7 @@ from maps import EQUILIBRIUM as REST
 from maps import TINY, Now, row, write
 
 from casadi_skin.runs import map as driving
-from casadi_skin.runs.map import MapRun
+from casadi_skin.runs.map import Engine, MapRun
 from casadi_skin.runs.map_cell import FAILED, LATE, Computer, Result, Row
 from casadi_skin.runs.map_grid import Grid, Task, plain
 from casadi_skin.runs.map_result import Map
@@ -62,6 +65,26 @@ def test_what_another_run_may_not_meet_starts_where_the_scene_does(tmp_path: Pat
     engine = Now(lambda task, attempt: Result(kind=LATE) if task.cells == (4,) else Result((row(4),)))
     assert engine.map(tmp_path, EQUILIBRIUM).complete
     assert (engine.cells[10:], engine.tasks[-1].start) == ([4], ())
+
+
+def test_workers_that_are_lost_leave_more_tasks_under_way_than_the_others_have_room_for() -> None:
+    """Two workers get eight tasks; one is gone when the first ends: nothing is handed over until four have ended."""
+    handed, counts = list[Future[Result]](), iter([2, *[1] * 20])
+
+    class Later(Now):
+        def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
+            handed.append(Future())
+            return handed[-1]
+
+    found = Engine(Later(), lambda: next(counts)).results(b"", [Task((k,), ()) for k in range(12)], None)
+    for k in range(12):
+        if len(handed) == k:  # the first are handed over when a result is asked for
+            threading.Timer(0.05, lambda: handed[0].set_result(Result((row(0),)))).start()
+        else:
+            handed[k].set_result(Result((row(k),)))
+        next(found)
+        assert len(handed) == min(max(8, k + 4), 12)
+    assert next(found, None) is None
 
 
 def test_a_family_of_several_cells_may_take_the_time_of_all(tmp_path: Path) -> None:
