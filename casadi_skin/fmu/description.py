@@ -10,7 +10,6 @@ import ctypes
 import hashlib
 import itertools
 import math
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from casadi_skin.fmu.unzip import Archive
 from casadi_skin.model.arguments import nearest, short_repr
 from casadi_skin.model.files import TemporaryFolder
+from casadi_skin.model.result import warn_caller
 
 DESCRIPTION_FILE = "modelDescription.xml"
 LARGEST_DESCRIPTION = 1 << 26  # bytes
@@ -107,7 +107,7 @@ def unpack(path: str | Path, kind: str = MODEL_EXCHANGE) -> Unpacked:
             archive.write(temporary.path, lambda name: name.startswith(wanted))
             if archive.repeated:
                 names = ", ".join(sorted(archive.repeated)[:3])
-                warnings.warn(f"{path}: in it more than once, and not unpacked: {names}", FmuWarning, stacklevel=3)
+                warn_caller(f"{path}: in it more than once, and not unpacked: {names}", FmuWarning)
         except BaseException:
             temporary.remove()
             raise

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -25,7 +24,7 @@ from casadi_skin.model.arguments import by_name, file_path, number, short_repr
 from casadi_skin.model.expressions import expression_of
 from casadi_skin.model.jumps import STATE, Jumps, Switch
 from casadi_skin.model.ode import OdeModel
-from casadi_skin.model.result import in_turn
+from casadi_skin.model.result import in_turn, warn_caller
 from casadi_skin.native import Array
 from casadi_skin.native.programs import Program
 
@@ -401,7 +400,7 @@ def import_fmu(
         if variables.indicators:
             words = "it is followed between events, and refused along a solution where one of them changes its sign"
             many = f"{path}: event indicators, {len(variables.indicators)} of them"
-            warnings.warn(f"{many}: {words}", FmuWarning, stacklevel=3)
+            warn_caller(f"{many}: {words}", FmuWarning)
         return model
     except BaseException:
         unpacked.remove()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -35,7 +34,7 @@ from casadi_skin.model.arguments import (
 from casadi_skin.model.integrators import simulated
 from casadi_skin.model.jumps import PARAMETER, STATE, JumpError
 from casadi_skin.model.ode import OdeModel, model_of
-from casadi_skin.model.result import NoQuantityError, in_turn, renamed
+from casadi_skin.model.result import NoQuantityError, in_turn, renamed, warn_caller
 from casadi_skin.solve.levels import ExactLevels, Levels
 from casadi_skin.solve.newton import Correction
 from casadi_skin.solve.watch import one_thread
@@ -440,7 +439,7 @@ def find_equilibria(
         low, high = _corners(bounds, model.state_names[: statics.size])
     else:
         words = "find_equilibria: lower and upper are bounds, (lower, upper) by name, and taken until version 0.4"
-        warnings.warn(words, DeprecationWarning, stacklevel=4)
+        warn_caller(words, DeprecationWarning)
         low, high = positions_of(model, bounds, "lower"), positions_of(model, upper, "upper")
         if not np.all(low <= high):
             raise ValueError("upper: given a number below that in lower; accepted: numbers >= those in lower")

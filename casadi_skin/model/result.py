@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Mapping
@@ -27,6 +28,7 @@ class NoQuantityError(ValueError, AttributeError):
 
 
 TURN = threading.RLock()
+PACKAGE = __name__.partition(".")[0]
 if hasattr(os, "register_at_fork"):  # a fork waits for its turn: no array of the child is half computed
     os.register_at_fork(before=TURN.acquire, after_in_parent=TURN.release, after_in_child=TURN.release)
 
@@ -55,6 +57,14 @@ def kept_by_first(function: Callable[P, T]) -> Callable[P, T]:
     return found
 
 
+def warn_caller(words: str, category: type[Warning]) -> None:
+    """Warn of a line outside of the package: the one that called it, by however many functions."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back is not None and frame.f_globals["__name__"].partition(".")[0] == PACKAGE:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(words, category, stacklevel=level)
+
+
 def renamed(**older: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function that takes arguments by their older names too, older = new, with a warning, until version 0.4."""
 
@@ -64,8 +74,7 @@ def renamed(**older: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
             for old, new in older.items():
                 if old in options and new not in options:
                     words = f"{function.__name__}: the argument {old} is called {new}; {old} is taken until version 0.4"
-                    level = 4 if "." in function.__qualname__ else 2  # beyond `alone` and `holding` of a method
-                    warnings.warn(words, DeprecationWarning, stacklevel=level)
+                    warn_caller(words, DeprecationWarning)
                     options[new] = options.pop(old)
             return function(*arguments, **options)
 

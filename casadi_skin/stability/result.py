@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_skin.model.result import Result
+from casadi_skin.model.result import Result, warn_caller
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.zero.problem import Array, Indices
 
@@ -158,18 +157,18 @@ class Floquet(Result):
         if self.trivial_deviation > self.allowed_deviation:
             words = f"the trivial multiplier is off by {self.trivial_deviation:.1e}"
             words += f", more than {self.allowed_deviation:.1e}; try a smaller tolerance"
-            warnings.warn(words, TrivialMultiplierWarning, stacklevel=4)
+            warn_caller(words, TrivialMultiplierWarning)
         if self.lost:
             words = "several multipliers are far from 1, and what grows and decays is not resolved: not even"
-            warnings.warn(f"{words} their orders of magnitude are known", LostMultiplierWarning, stacklevel=4)
+            warn_caller(f"{words} their orders of magnitude are known", LostMultiplierWarning)
         if self.blurred:
             words = f"{self.blurred} of the multipliers by cvodes are smaller than errors of its sensitivities: their"
             words += " orders of magnitude are not known; collocation has them"
-            warnings.warn(words, LostMultiplierWarning, stacklevel=4)
+            warn_caller(words, LostMultiplierWarning)
         if self.beyond_doubles:
             huge = int(np.count_nonzero(self.log_moduli > LARGEST_LOGARITHM))
             words = f"{huge} of the multipliers exceed the largest double, which stands for them"
-            warnings.warn(f"{words}: see log10_abs_multipliers", HugeMultiplierWarning, stacklevel=4)
+            warn_caller(f"{words}: see log10_abs_multipliers", HugeMultiplierWarning)
 
 
 def verdicts(others: ComplexArray, errors: Array) -> tuple[Booleans, Booleans, float]:
