@@ -93,7 +93,8 @@ def estimated(
         if between is not None:  # a step is right up to its square, and that of Omega goes through zero
             least = max(least, error.profile**2 * Omega)
         parts = [max(error.Omega, least), error.profile, error.parameter]
-        # At least that by rounding, of residual and constants; a period may be there long before the profile is.
+        # At least that by rounding, of residual and constants; a period alone may be there long before the profile is.
+        near = max(parts[0] / Omega, *parts[1:]) < NEAR_ROUND_OFF
         if max(parts[1:]) < NEAR_ROUND_OFF or 0.0 < error.Omega < NEAR_ROUND_OFF * Omega:
             if noise is None:
                 noise = back(on_finer.response())
@@ -104,10 +105,11 @@ def estimated(
                 max(own.profile, problem.round_off),
                 own.parameter,
             ]
-            floor = max(by_rounding[0] / Omega, *by_rounding[1:])
+            if near:
+                floor = max(by_rounding[0] / Omega, *by_rounding[1:])
             if by_Omega and tangents is not None:
                 by_rounding[2] = max(own.parameter, _by_constants(problem, z[i], tangents[i]))
-            parts = list(map(max, parts, by_rounding))
+            parts = list(map(max, parts, by_rounding if near else by_rounding[:1] + parts[1:]))
         found.append((ErrorEstimate(parts[0], parts[1], floor, parts[2]), Refinement(finer, better[i])))
     return found
 
