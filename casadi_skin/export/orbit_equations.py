@@ -18,6 +18,7 @@ from casadi_skin.export.codegen import (
 from casadi_skin.export.exported_model import ExportedModel
 from casadi_skin.export.site_loops import called
 from casadi_skin.follow.solution import Orbit
+from casadi_skin.model.arguments import in_words
 from casadi_skin.solve.ipopt import nlp_solver
 from casadi_skin.stability.result import Floquet
 from casadi_skin.zero.problem import Array
@@ -156,7 +157,7 @@ def floquet_of(orbit: Orbit) -> Floquet | str:
     try:
         return orbit.floquet()
     except (ValueError, ArithmeticError) as error:
-        return " ".join(str(error).split())
+        return in_words(error)
 
 
 def _with_multipliers(part: Part, orbit: Orbit) -> Part:

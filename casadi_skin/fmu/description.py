@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_skin.fmu.unzip import Archive
-from casadi_skin.model.arguments import nearest, short_repr
+from casadi_skin.model.arguments import in_words, nearest, short_repr
 from casadi_skin.model.files import TemporaryFolder
 from casadi_skin.model.result import warn_caller
 
@@ -123,7 +123,7 @@ def read_description(path: Path, folder: Path, kind: str = MODEL_EXCHANGE) -> An
         _check_xml((folder / DESCRIPTION_FILE).read_bytes())
         description = fmpy.read_model_description(folder, validate=False)
     except Exception as error:  # fmpy raises whatever its parser meets
-        reason = " ".join(str(error).split())[:200]
+        reason = in_words(error)[:200]
         raise ValueError(f"{path}: {DESCRIPTION_FILE} cannot be read: {reason or type(error).__name__}") from error
     if not str(description.fmiVersion).startswith(("2.", "3.")):
         raise ValueError(f"{path}: FMI {description.fmiVersion}; accepted: 2.0, 3.0")

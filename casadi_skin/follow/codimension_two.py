@@ -37,6 +37,7 @@ from casadi_skin.follow.search import (
     zero_between,
 )
 from casadi_skin.follow.space import ORBITS, Followed
+from casadi_skin.model.arguments import in_words
 from casadi_skin.stability.reduction import ComplexArray
 from casadi_skin.stability.result import FULL_TURN, turned
 from casadi_skin.zero.augmented import Augmented
@@ -109,7 +110,7 @@ class CurveSearch(Search):
         try:
             found |= self.branching_tests() if self.kind == BRANCH_POINT else self.coefficient_tests()
         except (RuntimeError, NotImplementedError) as error:  # of derivatives that the model does not have
-            words = f"the coefficient of the normal form is not computed: {' '.join(str(error).split())}"
+            words = f"the coefficient of the normal form is not computed: {in_words(error)}"
             self.gaps.append(gap_between(self.space, *self.ends, words, self.kinds.degenerate or CUSP))
         return found
 

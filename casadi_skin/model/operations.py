@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import casadi as ca
 
-from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.arguments import in_words, short_repr
 
 MOST_OPERATIONS = 1_000_000
 MOST_DEPTH = 5_000  # operations on operations; CasADi prints by recursion, and ends the process from 13,000 on
@@ -165,7 +165,7 @@ def _expanded(function: ca.Function) -> ca.Function:
     try:
         return function if function.is_a("SXFunction") else function.expand()
     except RuntimeError as error:
-        raise ValueError(_other(function, " ".join(str(error).split())[-100:])) from error
+        raise ValueError(_other(function, in_words(error)[-100:])) from error
 
 
 def _named(code: int, function: ca.Function) -> str:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import casadi as ca
 import msgspec
 
-from casadi_skin.model.arguments import check_instance, cut, file_path, new_file, short_repr
+from casadi_skin.model.arguments import check_instance, cut, file_path, in_words, new_file, short_repr
 from casadi_skin.model.files import replacing
 from casadi_skin.model.loading import read_source
 from casadi_skin.model.ode import OdeModel
@@ -128,7 +128,7 @@ def loads(text: str, path: str = "text") -> OdeModel:
     try:
         return _model_of(_checked(text))
     except (ValueError, TypeError, RecursionError) as error:  # msgspec's and json's errors are ValueErrors
-        reason = cut(" ".join(str(error).split()), 200)
+        reason = cut(in_words(error), 200)
         reason = reason if "accepted: " in reason else f"{reason}; {ACCEPTED_MODEL_FILES}"
         raise ValueError(f"{path}: not a model saved by casadi_skin: {reason}") from error
 

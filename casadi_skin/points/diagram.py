@@ -62,11 +62,11 @@ class Diagram(Result):
     @property
     def special_points(self) -> tuple[SpecialPoint, ...]:
         """Special points of all branches, each once."""
-        found, sizes = list[SpecialPoint](), Sizes()
+        found, units = list[SpecialPoint](), Units()
         for branch in self.branches:
-            sizes.add(branch)
+            units.add(branch)
         for point in (point for branch in self.branches for point in points_of(branch)):
-            if not any(sizes.is_same(point, other) for other in found):
+            if not any(units.is_same(point, other) for other in found):
                 found.append(point)
         return tuple(found)
 
@@ -153,8 +153,8 @@ class Further:
         self.branches, self.failures = [branch], list[str]()
         self.reached = list[tuple[str, SpecialPoint]]()
         self._kinds, self._depth, self._options, self._halves = kinds, depth, options, halves
-        self._met, self._sizes = list[_Met](), Sizes()
-        self._sizes.add(branch)
+        self._met, self._units = list[_Met](), Units()
+        self._units.add(branch)
         self._meet(branch)
 
     def __iter__(self) -> Iterator[tuple[str, SpecialPoint, Any]]:
@@ -177,7 +177,7 @@ class Further:
     def add(self, branch: Branch, space: Any, point: SpecialPoint) -> None:
         """Keep a branch that leaves at a special point."""
         self.branches.append(branch)
-        self._sizes.add(branch)
+        self._units.add(branch)
         if space.connects == EQUILIBRIA and space.first is not None:
             direction = _direction(space, space.first)
             closed = branch.end is End.CLOSED
@@ -190,7 +190,7 @@ class Further:
         """Close a special point at which a branch has come back to the orbits that it left: no other leaves there."""
         end = replace(branch.special_points[-1], kind=kind)
         for met in self._met:
-            met.left = met.left or self._sizes.is_same(met.point, end)
+            met.left = met.left or self._units.is_same(met.point, end)
 
     def _meet(self, branch: Branch) -> None:
         """Record the special points that a branch passes, and its directions there."""
@@ -203,7 +203,7 @@ class Further:
                 met.shrunk = met.shrunk or point.kind == HOPF
 
     def _of(self, point: SpecialPoint) -> _Met:
-        known = next((met for met in self._met if self._sizes.is_same(met.point, point)), None)
+        known = next((met for met in self._met if self._units.is_same(met.point, point)), None)
         if known is None:
             known = _Met(point)
             self._met.append(known)
@@ -263,7 +263,7 @@ def _is_along(known: Array, direction: Array, other: Array) -> bool:
 
 
 @dataclass
-class Sizes:
+class Units:
     """The largest state and parameters on branches, by their number: units in which special points are one."""
 
     states: dict[int, float] = field(default_factory=dict)

@@ -14,7 +14,7 @@ from casadi_skin.follow.branch import Branch
 from casadi_skin.follow.follow import follow_family
 from casadi_skin.follow.solution import Orbit
 from casadi_skin.lattice.chain import Chain
-from casadi_skin.model.arguments import short_repr
+from casadi_skin.model.arguments import in_words, short_repr
 from casadi_skin.model.expressions import expression, is_comparison
 from casadi_skin.model.formula import FormulaError, parse_formula
 from casadi_skin.search.conditions import Condition, checked_bounds, checked_conditions, free_names, sampled_starts
@@ -219,7 +219,7 @@ def _column(place: str, quantity: Quantity, known: Mapping[str, Any]) -> ca.SX:
     except (AttributeError, FormulaError) as error:
         raise ValueError(f"{place}: {str(error).removeprefix('quantity: ')}") from None
     except (TypeError, ValueError, NotImplementedError, RuntimeError, IndexError, ZeroDivisionError) as error:
-        raise TypeError(f"{place}: the function given fails: {' '.join(str(error).split())[:200]}") from None
+        raise TypeError(f"{place}: the function given fails: {in_words(error)[:200]}") from None
     if isinstance(made, bool) or not isinstance(made, int | float | ca.SX | ca.DM):
         raise TypeError(f"{place}: given a function that returns {short_repr(made)}; accepted: a CasADi expression")
     found = ca.SX(made)

@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeAlias
 import casadi as ca
 import numpy as np
 
+from casadi_skin.model.arguments import in_words
 from casadi_skin.model.expressions import Expression
 from casadi_skin.model.interrupts import interrupts_deferred
 from casadi_skin.search.conditions import Condition
@@ -496,7 +497,7 @@ def solve_start(problem: Startable, start: Start, monitor: Monitor | None = None
     try:
         nlp, x = problem.nlp_at(start)
     except ArithmeticError as error:
-        return lost_start(start, " ".join(str(error).split()), Ending.NOT_LOCATED)
+        return lost_start(start, in_words(error), Ending.NOT_LOCATED)
     return judged(nlp, start, x, nlp.solve(x, monitor))
 
 
